@@ -1,0 +1,149 @@
+"""The camera model and one view of it: the value types that scenes, sim and the estimator share."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import RigidTransform
+
+from extremal.estimator.errors import InvalidInput
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Camera:
+    """Pinhole camera with Brown-Conrady distortion and a Gaussian point-spread function.
+
+    Pixel (0, 0) is the centre of the top-left pixel; camera axes are x right, y down, z forward.
+
+    Attributes:
+        width, height: image size [px].
+        fx, fy: focal lengths [px].
+        cx, cy: principal point [px]; default: the image centre, ((width - 1) / 2, (height - 1) / 2).
+        distortion: (k1, k2, p1, p2, k3) of the Brown-Conrady model.
+        blur: standard deviation of the optical point-spread function [px], without the pixel's own area.
+    """
+
+    width: int = 640
+    height: int = 480
+    fx: float = 800.0
+    fy: float = 800.0
+    cx: float = field(default=float("nan"))
+    cy: float = field(default=float("nan"))
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    blur: float = 0.7
+
+    def __post_init__(self) -> None:
+        for name, size in (("width", self.width), ("height", self.height)):
+            if not (isinstance(size, int | np.integer) and 8 <= size <= 16384):
+                raise InvalidInput(f"camera {name} is {size!r}; accepted: an integer from 8 to 16384 [px]")
+        if np.isnan(self.cx):
+            object.__setattr__(self, "cx", (self.width - 1) / 2)
+        if np.isnan(self.cy):
+            object.__setattr__(self, "cy", (self.height - 1) / 2)
+        for name, value in (("fx", self.fx), ("fy", self.fy)):
+            if not (np.isfinite(value) and value > 0):
+                raise InvalidInput(f"camera {name} is {value!r}; accepted: a positive number of pixels")
+        if not np.all(np.isfinite([self.cx, self.cy, *self.distortion])) or len(self.distortion) != 5:
+            raise InvalidInput(
+                f"camera principal point ({self.cx}, {self.cy}) or distortion {self.distortion} "
+                "is not made of finite numbers (five of them for the distortion: k1, k2, p1, p2, k3)"
+            )
+        if not (np.isfinite(self.blur) and self.blur >= 0):
+            raise InvalidInput(f"camera blur is {self.blur!r}; accepted: 0 or a positive number of pixels")
+
+    @cached_property
+    def matrix(self) -> Array:
+        """Intrinsic matrix K (3, 3)."""
+        return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
+
+    @property
+    def is_distorted(self) -> bool:
+        return any(self.distortion)
+
+    def project(self, p_camera: ArrayLike) -> Array:
+        """Pixels (..., 2) of points (..., 3) [m] in the camera frame; NaN for points behind the camera."""
+        p = np.asarray(p_camera, float)
+        z = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
+        return self.distort(p[..., :2] / z)
+
+    def distort(self, normalised: ArrayLike) -> Array:
+        """Pixels (..., 2) of ideal image coordinates (..., 2) = (X/Z, Y/Z) (Brown-Conrady)."""
+        xy = np.asarray(normalised, float)
+        if self.is_distorted:
+            k1, k2, p1, p2, k3 = self.distortion
+            x, y = xy[..., 0], xy[..., 1]
+            r2 = x * x + y * y
+            radial = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+            xy = np.stack(
+                [
+                    x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+                    y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
+                ],
+                axis=-1,
+            )
+        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+
+    def normalise(self, pixels: ArrayLike) -> Array:
+        """Ideal image coordinates (..., 2) = (X/Z, Y/Z) of pixels (..., 2); the inverse of `distort`."""
+        pixels = np.asarray(pixels, float)
+        if not self.is_distorted:
+            return (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+        ideal = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
+        for _ in range(50):  # fixed point; OpenCV's own iteration has a name of its own in every major version
+            error = pixels - self.distort(ideal)
+            ideal = ideal + error / (self.fx, self.fy)
+            if not np.nanmax(np.abs(error), initial=0.0) > 1e-10:
+                break
+        return ideal
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Unit rays (..., 3) in the camera frame through pixels (..., 2)."""
+        xy = self.normalise(pixels)
+        rays = np.concatenate([xy, np.ones_like(xy[..., :1])], axis=-1)
+        return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One frame with the pose that the robot believes the camera had.
+
+    Attributes:
+        camera: the camera model.
+        T_world_camera: pose; maps camera coordinates to world coordinates.
+        image: grey (height, width) or RGB (height, width, 3) frame, uint8.
+        pose_covariance: (6, 6) covariance of (translation [m], rotation vector [rad]) in the camera frame,
+            right-multiplied; zero where the pose is exact.
+    """
+
+    camera: Camera
+    T_world_camera: RigidTransform
+    image: NDArray[np.uint8]
+    pose_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
+
+    def __post_init__(self) -> None:
+        shape = (self.camera.height, self.camera.width)
+        if self.image.dtype != np.uint8 or self.image.shape not in (shape, (*shape, 3)):
+            raise InvalidInput(
+                f"image is {self.image.dtype} {self.image.shape}; accepted: uint8 {shape} or {(*shape, 3)}"
+            )
+        if not np.all(np.isfinite(self.T_world_camera.as_matrix())):
+            raise InvalidInput("T_world_camera holds a number that is not finite")
+        if self.pose_covariance.shape != (6, 6) or not np.all(np.isfinite(self.pose_covariance)):
+            raise InvalidInput("pose_covariance must be a finite (6, 6) array")
+
+    @property
+    def centre(self) -> Array:
+        """Camera centre (3,) [m] in the world."""
+        return self.T_world_camera.translation
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Unit rays (..., 3) in the world through pixels (..., 2)."""
+        return self.camera.rays(pixels) @ self.T_world_camera.rotation.as_matrix().T
+
+    def project(self, p_world: ArrayLike) -> Array:
+        """Pixels (..., 2) of points (..., 3) [m] in the world; NaN for points behind the camera."""
+        rotation = self.T_world_camera.rotation.as_matrix()
+        return self.camera.project((np.asarray(p_world, float) - self.centre) @ rotation)

@@ -1,0 +1,21 @@
+"""Every error that extremal raises on purpose."""
+
+
+class ExtremalError(Exception):
+    """Base of all errors; the message names the bad value and what is accepted."""
+
+
+class InvalidInput(ExtremalError, ValueError):
+    """A value that is out of range, not finite, or of the wrong shape."""
+
+
+class DegenerateGeometry(ExtremalError, ValueError):
+    """Views or rays that do not determine what was asked for."""
+
+
+class SceneError(ExtremalError, ValueError):
+    """A scene that is unknown, unreadable or impossible."""
+
+
+class RenderingError(ExtremalError, RuntimeError):
+    """Offscreen rendering is not available or failed."""

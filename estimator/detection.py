@@ -1,0 +1,140 @@
+"""Automatic detection of image contours: smooth chains of edge pixels, broken at junctions and corners."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from extremal.estimator.camera import Array
+
+SMOOTHING = 1.0  # [px] Gaussian before differentiation
+GAIN = 8.0  # Sobel response to a slope of one grey level per pixel
+CORNER = np.deg2rad(35.0)  # turn over 2 * CORNER_REACH px at which a chain is broken
+CORNER_REACH = 5
+SHORTEST = 20  # [px]
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """Edge pixels in order: positions (n, 2) [px] to about 0.1 px, and the chain (n,) of each, non-decreasing.
+
+    Each chain is directed so that the brighter side lies to its left as seen in the image (x right, y down).
+    """
+
+    positions: Array
+    chain: np.ndarray
+
+
+def noise_level(grey: Array) -> float:
+    """Standard deviation [grey levels] of the noise of a pixel, robust against edges (Immerkaer 1996)."""
+    kernel = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32)
+    response = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1:3, 1:-1:2])
+    return max(float(np.median(response)) / 0.6745 / 6.0, 12**-0.5)
+
+
+def detect_chains(grey: np.ndarray, noise: float) -> Chains:
+    """Chains of edge pixels of a grey image (height, width), float32, whose contrast stands clear of `noise`."""
+    smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTHING)
+    dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
+    gradient_noise = GAIN * noise * 0.2  # of the Sobel response after smoothing
+    scale = 16.0  # Canny wants 16-bit integers: keep fractions
+    low, high = 3.5 * gradient_noise + 3.0, 7.0 * gradient_noise + 8.0
+    edges = cv2.Canny(
+        np.clip(dx * scale, -32000, 32000).astype(np.int16),
+        np.clip(dy * scale, -32000, 32000).astype(np.int16),
+        low * scale,
+        high * scale,
+        L2gradient=True,
+    )
+    pixels, chain = _link(_without_junctions(edges))
+    positions = _subpixel(pixels, dx, dy)
+    positions, chain = _split_at_corners(positions, chain)
+    return _directed(positions, chain, dx, dy)
+
+
+_RING = np.array([[1, 2, 4], [128, 0, 8], [64, 32, 16]], np.float32)
+_CROSSINGS = np.array(
+    [sum((c >> i & 1) == 0 and (c >> ((i + 1) % 8) & 1) == 1 for i in range(8)) for c in range(256)], np.uint8
+)
+
+
+def _without_junctions(edges: np.ndarray) -> np.ndarray:
+    """Edge mask without the pixels at which three or more branches meet, nor the image's border."""
+    mask = (edges > 0).astype(np.uint8)
+    mask[:2], mask[-2:], mask[:, :2], mask[:, -2:] = 0, 0, 0, 0
+    code = cv2.filter2D(mask, cv2.CV_32F, _RING).astype(np.uint8)
+    mask[(_CROSSINGS[code] >= 3) & (mask > 0)] = 0
+    return mask
+
+
+def _link(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pixels (n, 2) (x, y) in order along each thin line of the mask, and the line of each pixel."""
+    traced, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    lines = []
+    for trace, parent in zip(traced, np.reshape(hierarchy, (-1, 4))[:, 3] if len(traced) else [], strict=True):
+        if parent >= 0 or len(trace) < SHORTEST:  # the inner border of a loop: its outer one is enough
+            continue
+        trace = trace.reshape(-1, 2)
+        turn = np.flatnonzero(np.all(np.roll(trace, 1, axis=0) == np.roll(trace, -1, axis=0), axis=1))
+        if len(turn):  # an open line is traced there and back: start at one of its ends
+            trace = np.roll(trace, -turn[0], axis=0)
+        keys = trace[:, 1].astype(np.int64) * mask.shape[1] + trace[:, 0]
+        _, first = np.unique(keys, return_index=True)
+        line = trace[np.sort(first)]
+        steps = np.abs(np.diff(line, axis=0)).max(axis=1)
+        for piece in np.split(line, np.flatnonzero(steps > 2) + 1):
+            if len(piece) >= SHORTEST:
+                lines.append(piece)
+    if not lines:
+        return np.zeros((0, 2), int), np.zeros(0, int)
+    return np.concatenate(lines), np.repeat(np.arange(len(lines)), [len(line) for line in lines])
+
+
+def _subpixel(pixels: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> Array:
+    """Where the gradient's magnitude peaks along its direction (parabola through three samples; Devernay 1995)."""
+    x, y = pixels.T
+    gradient = np.stack([dx[y, x], dy[y, x]], axis=1).astype(float)
+    direction = gradient / np.maximum(np.linalg.norm(gradient, axis=1, keepdims=True), 1e-9)
+    at = (pixels[:, None] + direction[:, None] * np.array([-1.0, 0.0, 1.0])[:, None]).astype(np.float32)
+    if len(pixels) == 0:
+        return np.zeros((0, 2))
+    sampled = [cv2.remap(d, at, None, cv2.INTER_LINEAR) for d in (dx, dy)]  # type: ignore[call-overload]
+    before, here, after = np.hypot(*sampled).T
+    bend = before - 2 * here + after
+    shift = np.where(bend < -1e-6, 0.5 * (before - after) / np.minimum(bend, -1e-6), 0.0)
+    return pixels + direction * np.clip(shift, -0.75, 0.75)[:, None]
+
+
+def _split_at_corners(positions: Array, chain: np.ndarray) -> tuple[Array, np.ndarray]:
+    """Break chains where they turn sharply; drop what is too short; renumber."""
+    n, reach = len(chain), CORNER_REACH
+    if n <= 2 * reach:
+        return positions[:0], chain[:0]
+    ahead, behind = np.zeros((n, 2)), np.zeros((n, 2))
+    ahead[:-reach] = positions[reach:] - positions[:-reach]
+    behind[reach:] = ahead[:-reach]
+    inside = np.zeros(n, bool)
+    inside[reach:-reach] = (chain[2 * reach :] == chain[: -2 * reach]) & (chain[reach:-reach] == chain[2 * reach :])
+    cross = ahead[:, 0] * behind[:, 1] - ahead[:, 1] * behind[:, 0]
+    turn = np.where(inside, np.abs(np.arctan2(cross, np.sum(ahead * behind, axis=1))), 0.0)
+    peak = turn == np.max(np.lib.stride_tricks.sliding_window_view(np.pad(turn, reach), 2 * reach + 1), axis=1)
+    corner = (turn > CORNER) & peak
+    near = np.convolve(corner, np.ones(3), "same") > 0  # the pixels at a corner belong to neither side
+    label = np.cumsum(np.concatenate([[0], (np.diff(chain) != 0) | np.diff(near.astype(int)).astype(bool)]))
+    keep = ~near & (np.bincount(label)[label] >= SHORTEST)
+    _, label = np.unique(label[keep], return_inverse=True)
+    return positions[keep], label
+
+
+def _directed(positions: Array, chain: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> Chains:
+    """Chains turned round where most of their bright side is on the wrong hand."""
+    if len(chain) == 0:
+        return Chains(positions, chain)
+    x, y = np.rint(positions).astype(int).T
+    tangent = np.gradient(positions, axis=0)
+    left = tangent[:, 1] * dx[y, x] - tangent[:, 0] * dy[y, x]  # gradient along the left normal (ty, -tx)
+    wrong = np.bincount(chain, np.sign(left)) < 0
+    start = np.searchsorted(chain, chain)
+    end = np.searchsorted(chain, chain, side="right") - 1
+    index = np.arange(len(chain))
+    return Chains(positions[np.where(wrong[chain], start + end - index, index)], chain)

@@ -1,0 +1,198 @@
+"""Where is the edge in an intensity profile across it? A bank of edge models, each blurred by the known point spread.
+
+Towards an extremal boundary the surface turns away, so that its intensity follows the square root of the distance s
+inside the contour: I(s) = a + b sqrt(s) + c s (+ d s^1.5). A fixed feature has no such term. Every model is linear
+but for the edge's offset e, so that for e on a grid the best fit is a projection, the same for all profiles:
+chi2(e) = |y|^2 - |Q(e)' y|^2 (variable projection; Golub and Pereyra 1973). Which model holds is decided by evidence
+pooled along the contour, and what that leaves open widens sigma.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from scipy.special import erf, ndtr
+
+from extremal.estimator.camera import Array
+
+HALF_WIDTH = 8  # [px] samples on each side of the expected edge
+RANGE, STEP = 1.75, 0.125  # [px] grid of the offset e
+POOLED = 15  # windows over which evidence for a model is summed
+PIXEL_VARIANCE = 1 / 12  # [px^2] of the square pixel, along any direction
+WIDE = 0.2  # [px] above this sigma the posterior over e is taken as it is, not as a Gaussian
+
+Values = np.ndarray
+
+
+@dataclass(frozen=True)
+class Model:
+    """Columns of one edge model: levels on both sides, slope outside, powers of sqrt(s) inside, its side."""
+
+    powers: tuple[int, ...]  # of sqrt(s) inside: 1 is the limb, 2 a slope
+    slope_outside: bool
+    side: int  # +1: inside lies at positive offsets
+    limb: bool
+
+    @property
+    def parameters(self) -> int:
+        return 3 + len(self.powers) + self.slope_outside
+
+
+MODELS = (
+    Model((), False, 1, False),
+    Model((2,), True, 1, False),
+    Model((1,), False, 1, True),
+    Model((1,), False, -1, True),
+    Model((1, 2), False, 1, True),
+    Model((1, 2), False, -1, True),
+    Model((1, 2), True, 1, True),
+    Model((1, 2), True, -1, True),
+    Model((1, 2, 3), True, 1, True),
+    Model((1, 2, 3), True, -1, True),
+)
+COLUMNS = max(m.parameters for m in MODELS) - 1
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileFit:
+    """Edges of n profiles: offset (n,) and sigma (n,) [px] along the profile; contrast (n,) [grey levels] from
+    negative to positive offsets; limb (n,) evidence, from -1 (shaded limb on the negative side) over 0 (none) to 1."""
+
+    offset: Array
+    sigma: Array
+    contrast: Array
+    limb: Array
+
+
+def offsets() -> Array:
+    """Sampling offsets (K,) [px] of a profile."""
+    return np.arange(-HALF_WIDTH, HALF_WIDTH + 1.0)
+
+
+def blurred_power(s: Array, power: int, spread: float) -> Array:
+    """max(s, 0)^(power / 2) blurred by a Gaussian of standard deviation `spread` [px]."""
+    if power == 0:
+        return ndtr(s / spread)
+    if power == 2:
+        return s * ndtr(s / spread) + spread * np.exp(-0.5 * (s / spread) ** 2) / np.sqrt(2 * np.pi)
+    nodes, weights = np.polynomial.legendre.leggauss(96)
+    top = np.sqrt(np.maximum(s + 7 * spread, 0))[..., None]  # integrate over r = sqrt(t): smooth at t = 0
+    r = 0.5 * top * (nodes + 1)
+    kernel = np.exp(-0.5 * ((s[..., None] - r**2) / spread) ** 2) / (np.sqrt(2 * np.pi) * spread)
+    return np.sum(weights * kernel * r**power * 2 * r, axis=-1) * 0.5 * top[..., 0]
+
+
+def _columns(model: Model, at: Array, spread: float) -> Array:
+    inside = [blurred_power(model.side * at, k, spread) for k in model.powers]
+    outside = [blurred_power(-model.side * at, 2, spread)] if model.slope_outside else []
+    return np.stack([np.ones_like(at), 0.5 * (1 + erf(at / spread / np.sqrt(2))), *inside, *outside], axis=-1)
+
+
+@lru_cache(maxsize=16)
+def _bank(blur: float, half_width: int) -> tuple[Values, Values]:
+    """Grid (E,) of offsets and orthonormal bases (K, M * E * COLUMNS), zero beyond half_width."""
+    spread = float(np.sqrt(blur**2 + PIXEL_VARIANCE))
+    grid = np.arange(-RANGE, RANGE + STEP / 2, STEP)
+    s = offsets()
+    used = np.abs(s) <= half_width
+    bank = np.zeros((len(s), len(MODELS), len(grid), COLUMNS), np.float32)
+    for i, model in enumerate(MODELS):
+        q, _ = np.linalg.qr(_columns(model, s[used] - grid[:, None], spread))
+        bank[used, i, :, : q.shape[-1]] = np.moveaxis(q, 1, 0)
+    return grid, bank.reshape(len(s), -1)
+
+
+def fit_profiles(profiles: Array, noise: float, rows: int, blur: float, chains: np.ndarray) -> ProfileFit:
+    """Edges in profiles (n, K), each the mean of `rows` independent lines across a contour.
+
+    Args:
+        profiles: (n, K) intensities at `offsets()`, ordered along the contours.
+        noise: standard deviation of a pixel [grey levels].
+        rows: lines averaged in a profile.
+        blur: optical point spread [px].
+        chains: (n,) contour of each profile, non-decreasing: evidence is not pooled across contours.
+    """
+    variance = noise**2 / rows
+    y = profiles - profiles.mean(axis=1, keepdims=True)
+    near = [_fit_window(y.astype(np.float32), variance, blur, half, chains) for half in (HALF_WIDTH, HALF_WIDTH // 2)]
+    # another edge close by spoils the wide window, not the narrow one
+    narrow = near[1].misfit * 1.5 + 0.5 < near[0].misfit
+    pick = np.where(narrow[:, None], np.stack([near[1].values], 0)[0], near[0].values)
+    misfit = np.where(narrow, near[1].misfit, near[0].misfit)
+    offset, sigma, limb = pick.T
+    positive, negative = profiles[:, -5:-2].mean(axis=1), profiles[:, 2:5].mean(axis=1)
+    return ProfileFit(offset, sigma * np.sqrt(np.maximum(misfit, 1.0)), positive - negative, limb)
+
+
+@dataclass(frozen=True, eq=False)
+class _WindowFit:
+    values: Array  # (n, 3): offset, sigma, limb
+    misfit: Array  # (n,) chi2 per degree of freedom
+
+
+def _fit_window(y: Values, variance: float, blur: float, half_width: int, chains: np.ndarray) -> _WindowFit:
+    grid, bank = _bank(blur, half_width)
+    count, samples = len(y), 2 * half_width + 1
+    used = np.abs(offsets()) <= half_width
+    projected = (y @ bank).reshape(count, len(MODELS), len(grid), COLUMNS)
+    energy = np.sum(y[:, used] ** 2, axis=1)
+    chi2 = (energy[:, None, None] - np.einsum("nmec,nmec->nme", projected, projected)) / variance
+    offset, sigma, lowest = _posterior(chi2.astype(float), grid)
+    parameters = np.array([m.parameters for m in MODELS])
+    pooled = _pool(lowest, chains)
+    # every window has parameters of its own: each takes 1 +- sqrt(2) off its chi2 even where there is nothing to fit
+    evidence = pooled + parameters * (POOLED + 2.5 * np.sqrt(2 * POOLED))
+    weight = np.exp(-0.5 * np.minimum(evidence - evidence.min(axis=1, keepdims=True), 60.0))
+    weight[~np.isfinite(sigma)] = 0.0
+    weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)
+    safe = np.where(np.isfinite(sigma), sigma, 0.0)
+    mean = np.sum(weight * offset, axis=1)
+    total = np.sum(weight * (safe**2 + (offset - mean[:, None]) ** 2), axis=1)
+    sides = np.array([m.side * m.limb for m in MODELS])
+    best = np.argmax(weight, axis=1)
+    freedom = samples - parameters[best]
+    rows = np.arange(count)
+    along, own = pooled[rows, best] / (POOLED * freedom), lowest[rows, best] / freedom
+    misfit = np.maximum(along, own / (1 + 2.5 * np.sqrt(2 / freedom)))
+    found = weight.sum(axis=1) > 0.5
+    sigma_total = np.where(found, np.sqrt(total), np.inf)
+    return _WindowFit(np.stack([mean, sigma_total, weight @ sides], axis=1), misfit)
+
+
+def _posterior(chi2: Array, grid: Array) -> tuple[Array, Array, Array]:
+    """Mean, standard deviation and lowest chi2 of e for chi2 (n, M, E); sigma infinite where e leaves the grid."""
+    best = np.argmin(chi2, axis=2)
+    middle = np.clip(best, 1, len(grid) - 2)[..., None] + np.arange(-1, 2)
+    left, centre, right = np.moveaxis(np.take_along_axis(chi2, middle, axis=2), 2, 0)
+    bend = np.maximum(left - 2 * centre + right, 1e-12)
+    step = grid[1] - grid[0]
+    shift = np.clip(0.5 * (left - right) / bend, -1, 1)
+    offset = grid[middle[..., 1]] + shift * step
+    sigma = np.sqrt(2 / bend) * step
+    lowest = centre - 0.25 * (left - right) * shift
+    wide = sigma > WIDE
+    if wide.any():
+        weight = np.exp(-0.5 * np.minimum(chi2[wide] - lowest[wide][:, None], 80.0))
+        weight /= weight.sum(axis=1, keepdims=True)
+        mean = weight @ grid
+        offset[wide] = mean
+        sigma[wide] = np.sqrt(np.maximum(weight @ grid**2 - mean**2, sigma[wide] ** 2 * 0 + step**2 / 12))
+    sigma[(best == 0) | (best == len(grid) - 1)] = np.inf
+    return offset, sigma, lowest
+
+
+def _pool(values: Array, chains: np.ndarray) -> Array:
+    """Sum of POOLED neighbours along each contour (scaled up at its ends)."""
+    if len(values) == 0:
+        return values
+    weight = np.ones(len(values))
+    total, counted = np.zeros_like(values), np.zeros(len(values))
+    for shift in range(-(POOLED // 2), POOLED // 2 + 1):
+        same = np.roll(chains, shift) == chains
+        if shift > 0:
+            same[:shift] = False
+        elif shift < 0:
+            same[shift:] = False
+        total += np.where(same[:, None], np.roll(values, shift, axis=0), 0.0)
+        counted += same * weight
+    return total * (POOLED / counted)[:, None]

@@ -92,7 +92,9 @@ class Camera:
         if not self.is_distorted:
             return (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
         ideal = (pixels - (self.cx, self.cy)) / (self.fx, self.fy)
-        for _ in range(50):  # fixed point; OpenCV's own iteration has a name of its own in every major version
+        for _ in range(
+            50
+        ):  # fixed point; OpenCV's own iteration has a name of its own in every major version
             error = pixels - self.distort(ideal)
             ideal = ideal + error / (self.fx, self.fy)
             if not np.nanmax(np.abs(error), initial=0.0) > 1e-10:

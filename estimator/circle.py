@@ -41,11 +41,12 @@ class OsculatingCircle:
         points: (..., V, 3) contact points p0 + R N_i [m] (eq. 3.21).
         valid: (...) whether the rays determine the circle.
         distances: (..., V) distance from camera centre to contact point [m].
-        radius_gradient: (..., V) change of R per metre of displacement of ray i along N_i.
+        gain: (..., 3, V) change of (s, q, c) per metre of displacement of ray i along N_i.
         residuals: (..., V) v_i.N_i - p0.N_i - R [m]: what the circle leaves of each ray.
         plane_normals: (..., 3) unit normals of the epipolar planes; rotating a ray about it by +delta moves it by
             -distance * delta along N_i.
-        sigma_depth: (...) standard deviation [m] of the first contact point's distance.
+        sigma_depth: (...) standard deviation [m] of the first contact point along its ray.
+        sigma_across: (...) standard deviation [m] of the first contact point across its ray, in the plane.
     """
 
     radius: Array
@@ -55,10 +56,16 @@ class OsculatingCircle:
     points: Array
     valid: np.ndarray
     distances: Array
-    radius_gradient: Array
+    gain: Array
     residuals: Array
     plane_normals: Array
     sigma_depth: Array
+    sigma_across: Array
+
+    @property
+    def radius_gradient(self) -> Array:
+        """(..., V) change of R per metre of displacement of ray i along N_i (for eq. 3.25 and 3.26)."""
+        return self.gain[..., 0, :] - self.gain[..., 2, :]
 
 
 def osculating_circle(
@@ -72,8 +79,9 @@ def osculating_circle(
     Args:
         centres: (..., V, 3) camera centres v_i [m].
         rays: (..., V, 3) unit rays; leading axes broadcast against those of `centres`.
-        ray_sigma: (..., V) standard deviation [rad] of each ray's angle in the epipolar plane. Without it, more
-            than three rays are weighed alike and sigma comes from their residuals; for three it is infinite.
+        ray_sigma: (..., V) standard deviation [rad] of each ray's angle in the epipolar plane; infinite for a ray
+            that is to be left out. Without it, more than three rays are weighed alike and sigma comes from their
+            residuals; for three it is infinite.
         plane_normals: (..., 3) epipolar planes onto which centres and rays are projected. By default that of the
             first two centres and the first ray: exact for linear motion, the trinocular approximation of
             Vaillant and Faugeras for any other.
@@ -109,21 +117,25 @@ def osculating_circle(
         for start in starts:
             solve(start)
     out["valid"] = out["valid"] > 0
-    return OsculatingCircle(**{k: np.moveaxis(a, -1, 0).reshape(shape + _tail(a, k)) for k, a in out.items()})
-
-
-def _outputs(views: int) -> dict[str, tuple[int, ...]]:
-    scalars = ("radius", "sigma_radius", "valid", "sigma_depth")
-    per_view = ("distances", "radius_gradient", "residuals")
-    return (
-        {name: () for name in scalars}
-        | {name: (views,) for name in per_view}
-        | {"centre": (3,), "plane_normals": (3,), "normals": (views, 3), "points": (views, 3)}
+    return OsculatingCircle(
+        **{k: np.moveaxis(a, -1, 0).reshape(shape + a.shape[:-1]) for k, a in out.items()}
     )
 
 
-def _tail(values: np.ndarray, name: str) -> tuple[int, ...]:
-    return values.shape[:-1]
+def _outputs(views: int) -> dict[str, tuple[int, ...]]:
+    scalars = ("radius", "sigma_radius", "valid", "sigma_depth", "sigma_across")
+    per_view = ("distances", "residuals")
+    return (
+        {name: () for name in scalars}
+        | {name: (views,) for name in per_view}
+        | {
+            "centre": (3,),
+            "plane_normals": (3,),
+            "gain": (3, views),
+            "normals": (views, 3),
+            "points": (views, 3),
+        }
+    )
 
 
 def _checked(
@@ -147,7 +159,9 @@ def _checked(
         if plane_normals is not None:
             m = np.broadcast_to(np.asarray(plane_normals, float), (*shape, 3)).reshape(-1, 3).T
     except ValueError as error:
-        raise InvalidInput(f"shapes of centres, rays, ray_sigma and plane_normals do not fit: {error}") from None
+        raise InvalidInput(
+            f"shapes of centres, rays, ray_sigma and plane_normals do not fit: {error}"
+        ) from None
     if sigma is not None and not np.all(sigma > 0):
         raise InvalidInput("ray_sigma must be positive [rad]")
     return np.moveaxis(v.reshape(-1, views, 3), -1, 0), np.moveaxis(p, -1, 0), sigma, m, shape
@@ -194,15 +208,17 @@ def _solve_block(v: Array, p: Array, sigma: Array | None, m: Array | None) -> di
         variance_scale = np.ones_like(radius)
         if sigma is None:
             freedom = len(sine) - 3
-            variance_scale = np.sum(residuals**2, axis=0) / freedom if freedom else np.full_like(radius, np.inf)
+            variance_scale = (
+                np.sum(residuals**2, axis=0) / freedom if freedom else np.full_like(radius, np.inf)
+            )
         elif len(sine) == 3:  # exact solution: weights did not matter, so take them at the contact points
             inverse = _propagated(gain, sigma.T * distances)
         sigma_radius = np.sqrt((inverse[0, 0] + inverse[2, 2] - 2 * inverse[0, 2]) * variance_scale)
         sigma_depth = np.sqrt(inverse[1, 1] * variance_scale)
-        gradient = gain[0] - gain[2]
+        sigma_across = np.sqrt(inverse[0, 0] * variance_scale)
         arc = np.abs(np.arctan2(sine, 1 - versine)).max(axis=0)
         valid = (arc > SMALLEST_ARC) & np.all(distances > 0, axis=0) & np.isfinite(radius)
-        valid &= np.all(np.isfinite(gradient), axis=0) & ~np.isnan(sigma_radius)
+        valid &= np.all(np.isfinite(gain), axis=(0, 1)) & ~np.isnan(sigma_radius)
         out = {
             "radius": radius,
             "sigma_radius": sigma_radius,
@@ -210,10 +226,11 @@ def _solve_block(v: Array, p: Array, sigma: Array | None, m: Array | None) -> di
             "normals": np.moveaxis(normals, 0, 1),
             "points": np.moveaxis(points, 0, 1),
             "distances": distances,
-            "radius_gradient": gradient,
+            "gain": gain,
             "residuals": residuals,
             "plane_normals": m,
             "sigma_depth": sigma_depth,
+            "sigma_across": sigma_across,
         }
         out = {k: np.where(valid, a, np.inf if k.startswith("sigma") else 0.0) for k, a in out.items()}
         return out | {"valid": valid}

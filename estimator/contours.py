@@ -4,15 +4,21 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.interpolate import BSpline
+from scipy.ndimage import maximum_filter1d
 
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.detection import Chains, detect_chains, noise_level
-from extremal.estimator.profile import HALF_WIDTH, PIXEL_VARIANCE, fit_profiles, offsets
-from extremal.estimator.splines import Splines, arc_length, fit, knots, leverage_variance
+from extremal.estimator.profile import PIXEL_VARIANCE, fit_profiles, offsets
+from extremal.estimator.splines import DEGREE, Splines, arc_length, fit, knots
 
 ROWS = 5  # lines across the contour, 1 px apart, that are averaged for one edgel
-FIRST_SPACING = 12.0  # [px] knots of the splines through the detected pixels
-SPACING = 24.0  # [px] knots of the splines through the edgels
+FIRST_SPACING = 8.0  # [px] knots of the splines through the detected pixels
+SPACING = 24.0  # [px] knots of the splines through the edgels, closer where a contour is bent:
+BEND_SPACING = 1.2  # times radius^(3/4): a cubic is then within 0.005 px of a circle
+SHARED = 4  # edgels on each side that share their misfit to the spline
+LONGEST_GAP = 3  # edgels that a contour may miss in a row
+HUBER = 2.5  # standard deviations beyond which an edgel loses weight
 SUBPIXEL = 32  # cv2.remap quantises coordinates to this fraction of a pixel: ask only for such
 LEAST_SIGMA = 0.004  # [px] floor: what the interpolation and the models of the edge leave
 LARGEST_SIGMA = 0.7  # [px] an edgel that is known less well is no edgel
@@ -64,8 +70,8 @@ def find_contours(image: np.ndarray, camera: Camera) -> Contours:
 def _through_pixels(chains: Chains) -> Splines:
     u, breaks = arc_length(chains.positions, chains.chain)
     count = np.bincount(chains.chain)
-    t = knots(breaks, np.full(len(count), FIRST_SPACING), count // 3)
-    return fit(u, chains.positions, None, t, breaks)
+    t = knots(u, chains.chain, breaks, np.full(len(u), FIRST_SPACING), count // 3)
+    return fit(u, chains.positions, np.ones(len(u)), t, breaks, u[:1])[0]
 
 
 def _localised(grey: np.ndarray, curves: Splines, noise: float, camera: Camera) -> Contours:
@@ -78,14 +84,13 @@ def _localised(grey: np.ndarray, curves: Splines, noise: float, camera: Camera) 
     middle, bend = normal[:, ROWS // 2], curvature.mean(axis=1)
     # blur draws a curved edge towards its centre of curvature
     offset = edges.offset - 0.5 * (camera.blur**2 + PIXEL_VARIANCE) * bend
-    keep = (edges.sigma < LARGEST_SIGMA) & _with_company(edges.sigma < LARGEST_SIGMA, contour)
+    keep, contour = _runs(edges.sigma < LARGEST_SIGMA, contour)
     if not keep.any():
         return _nothing(noise)
-    _, contour = np.unique(contour[keep], return_inverse=True)
     positions = (position[:, ROWS // 2] + offset[:, None] * middle)[keep]
     sigma = np.hypot(edges.sigma[keep], LEAST_SIGMA)
     u, breaks = arc_length(positions, contour)
-    splines, spline_sigma = _through_edgels(u, positions, sigma, contour, breaks)
+    splines, spline_sigma = _through_edgels(u, positions, sigma, bend[keep], contour, breaks)
     position, _, normal, bend = splines.frame(u)
     return Contours(
         splines,
@@ -121,36 +126,64 @@ def _profiles(grey: np.ndarray, position: Array, normal: Array) -> Array:
     moved = np.sum((at - position[..., None, :]) * normal[..., None, :], axis=-1) - s
     n, rows, count = moved.shape
     values = cv2.remap(
-        grey, at.reshape(n * rows, count, 2).astype(np.float32), None, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE
+        grey,
+        at.reshape(n * rows, count, 2).astype(np.float32),
+        None,
+        cv2.INTER_LANCZOS4,
+        borderMode=cv2.BORDER_REPLICATE,
     ).reshape(n, rows, count)
     mean = values.mean(axis=1)
     slope = np.gradient(mean, axis=1)
     return mean - slope * moved.mean(axis=1)
 
 
-def _with_company(good: np.ndarray, contour: np.ndarray) -> np.ndarray:
-    """Edgels of contours that have at least DEGREE + 1 good ones."""
-    return np.bincount(contour, good, minlength=contour[-1] + 1)[contour] >= 4
+def _runs(good: np.ndarray, contour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Edgels to keep (n,), and the contours (k,) of those: broken at gaps of LONGEST_GAP, none of fewer than four."""
+    index = np.flatnonzero(good)
+    if len(index) == 0:
+        return good, contour[index]
+    new = (np.diff(index) > LONGEST_GAP) | (np.diff(contour[index]) != 0)
+    run = np.concatenate([[0], np.cumsum(new)])
+    enough = np.bincount(run)[run] >= DEGREE + 1
+    keep = np.zeros_like(good)
+    keep[index[enough]] = True
+    return keep, np.unique(run[enough], return_inverse=True)[1]
 
 
 def _through_edgels(
-    u: Array, positions: Array, sigma: Array, contour: np.ndarray, breaks: Array
+    u: Array, positions: Array, sigma: Array, bend: Array, contour: np.ndarray, breaks: Array
 ) -> tuple[Splines, Array]:
     """Splines through the edgels, and their sigma (n,) across themselves, widened where they do not fit."""
-    count = np.bincount(contour)
+    radius = 1 / np.maximum(maximum_filter1d(np.abs(bend), 3), 1e-4)
+    spacing = np.clip(BEND_SPACING * radius**0.75, 1.5 * ROWS, SPACING)
+    t = knots(u, contour, breaks, spacing, np.maximum(np.bincount(contour) - 3, 1))
     weights = 1 / sigma
-    t = knots(breaks, np.full(len(count), SPACING), np.maximum(count - 3, 1))
-    splines = fit(u, positions, weights, t, breaks)
-    left, _, normal, _ = splines.frame(u)
-    misfit = (np.sum((positions - left) * normal, axis=1) / sigma) ** 2
-    intervals = np.bincount(splines.contour_of((t[:-1] + t[1:])[np.diff(t) > 0] / 2), minlength=len(count))
-    freedom = np.maximum(count - intervals - 3, 1)
-    chi2 = np.bincount(contour, misfit) / freedom
-    return splines, np.sqrt(leverage_variance(u, weights, t, u) * np.maximum(chi2, 1.0)[contour])
+    splines, variance = fit(u, positions, weights, t, breaks, u)
+    for _ in range(2):
+        at, _, normal, _ = splines.frame(u)
+        misfit = np.abs(np.sum((positions - at) * normal, axis=1)) / sigma
+        weights = np.minimum(1.0, HUBER / np.maximum(misfit, 1e-9)) / sigma
+        splines, variance = fit(u, positions, weights, t, breaks, u)
+    at, _, normal, _ = splines.frame(u)
+    misfit = (np.sum((positions - at) * normal, axis=1) * weights) ** 2
+    freedom = np.maximum(1 - variance * weights**2, 0.0)  # what the spline leaves of each edgel's residual
+    return splines, np.sqrt(variance * np.maximum(1.0, _shared(misfit, contour) / _shared(freedom, contour)))
+
+
+def _shared(values: Array, contour: np.ndarray) -> Array:
+    """Sum of each value and its SHARED neighbours on each side along the contour, and a little more than nothing."""
+    total = values + 1e-3
+    for shift in range(1, SHARED + 1):
+        same = contour[shift:] == contour[:-shift]
+        total[shift:][same] += values[:-shift][same]
+        total[:-shift][same] += values[shift:][same]
+    return total
 
 
 def _nothing(noise: float) -> Contours:
     t = np.repeat([0.0, 1.0], 4)
     empty, none = np.zeros(0), np.zeros((0, 2))
-    splines = fit(np.linspace(0, 1, 4, endpoint=True) * 0.999, np.zeros((4, 2)), None, t, np.array([0.0, 1.0]))
+    splines = fit(
+        np.linspace(0, 1, 4, endpoint=True) * 0.999, np.zeros((4, 2)), None, t, np.array([0.0, 1.0])
+    )
     return Contours(splines, empty, np.zeros(0, int), none, none, empty, empty, empty, empty, empty, noise)

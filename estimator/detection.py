@@ -9,7 +9,7 @@ from extremal.estimator.camera import Array
 
 SMOOTHING = 1.0  # [px] Gaussian before differentiation
 GAIN = 8.0  # Sobel response to a slope of one grey level per pixel
-CORNER = np.deg2rad(35.0)  # turn over 2 * CORNER_REACH px at which a chain is broken
+CORNER = np.deg2rad(30.0)  # turn over 2 * CORNER_REACH px at which a chain is broken
 CORNER_REACH = 5
 SHORTEST = 20  # [px]
 
@@ -71,7 +71,9 @@ def _link(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels (n, 2) (x, y) in order along each thin line of the mask, and the line of each pixel."""
     traced, hierarchy = cv2.findContours(mask, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     lines = []
-    for trace, parent in zip(traced, np.reshape(hierarchy, (-1, 4))[:, 3] if len(traced) else [], strict=True):
+    for trace, parent in zip(
+        traced, np.reshape(hierarchy, (-1, 4))[:, 3] if len(traced) else [], strict=True
+    ):
         if parent >= 0 or len(trace) < SHORTEST:  # the inner border of a loop: its outer one is enough
             continue
         trace = trace.reshape(-1, 2)
@@ -114,10 +116,14 @@ def _split_at_corners(positions: Array, chain: np.ndarray) -> tuple[Array, np.nd
     ahead[:-reach] = positions[reach:] - positions[:-reach]
     behind[reach:] = ahead[:-reach]
     inside = np.zeros(n, bool)
-    inside[reach:-reach] = (chain[2 * reach :] == chain[: -2 * reach]) & (chain[reach:-reach] == chain[2 * reach :])
+    inside[reach:-reach] = (chain[2 * reach :] == chain[: -2 * reach]) & (
+        chain[reach:-reach] == chain[2 * reach :]
+    )
     cross = ahead[:, 0] * behind[:, 1] - ahead[:, 1] * behind[:, 0]
     turn = np.where(inside, np.abs(np.arctan2(cross, np.sum(ahead * behind, axis=1))), 0.0)
-    peak = turn == np.max(np.lib.stride_tricks.sliding_window_view(np.pad(turn, reach), 2 * reach + 1), axis=1)
+    peak = turn == np.max(
+        np.lib.stride_tricks.sliding_window_view(np.pad(turn, reach), 2 * reach + 1), axis=1
+    )
     corner = (turn > CORNER) & peak
     near = np.convolve(corner, np.ones(3), "same") > 0  # the pixels at a corner belong to neither side
     label = np.cumsum(np.concatenate([[0], (np.diff(chain) != 0) | np.diff(near.astype(int)).astype(bool)]))

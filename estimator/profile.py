@@ -114,7 +114,10 @@ def fit_profiles(profiles: Array, noise: float, rows: int, blur: float, chains: 
     """
     variance = noise**2 / rows
     y = profiles - profiles.mean(axis=1, keepdims=True)
-    near = [_fit_window(y.astype(np.float32), variance, blur, half, chains) for half in (HALF_WIDTH, HALF_WIDTH // 2)]
+    near = [
+        _fit_window(y.astype(np.float32), variance, blur, half, chains)
+        for half in (HALF_WIDTH, HALF_WIDTH // 2)
+    ]
     # another edge close by spoils the wide window, not the narrow one
     narrow = near[1].misfit * 1.5 + 0.5 < near[0].misfit
     pick = np.where(narrow[:, None], np.stack([near[1].values], 0)[0], near[0].values)

@@ -4,11 +4,13 @@ Contour k owns the parameter interval breaks[k] .. breaks[k + 1] (arc length in 
 at the breaks decouple the contours, so that fitting and evaluating them all is one banded problem.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import BSpline, make_lsq_spline
-from scipy.linalg import solveh_banded
+from scipy.interpolate import BSpline
+from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.sparse import csr_array
 
 from extremal.estimator.camera import Array
 
@@ -50,28 +52,56 @@ def arc_length(positions: Array, chain: np.ndarray) -> tuple[Array, Array]:
     return u, np.concatenate([u[start] - 0.5, [u[-1] + 0.5]])
 
 
-def knots(breaks: Array, spacing: Array, most: np.ndarray) -> Array:
-    """Knot vector with `spacing` (C,) [px] between knots, at most `most` (C,) intervals a contour."""
+def knots(u: Array, contour: np.ndarray, breaks: Array, spacing: Array, most: np.ndarray) -> Array:
+    """Knot vector with locally `spacing` (n,) [px] between knots, given at u (n,), at most `most` (C,) intervals each."""
     pieces = [np.repeat(breaks[0], DEGREE + 1)]
-    for start, end, h, limit in zip(breaks[:-1], breaks[1:], spacing, most, strict=True):
-        intervals = int(max(1, min(round((end - start) / h), limit)))
-        pieces += [np.linspace(start, end, intervals + 1)[1:-1], np.repeat(end, DEGREE + 1)]
+    edge = np.searchsorted(contour, np.arange(len(breaks)))
+    for k, (start, end) in enumerate(itertools.pairwise(breaks)):
+        at = u[edge[k] : edge[k + 1]]
+        middle = np.concatenate([[start], 0.5 * (at[:-1] + at[1:]), [end]])
+        width = np.diff(middle)
+        width = np.minimum(
+            width, 1.5 * np.median(width)
+        )  # a gap in the data takes no more knots than one datum
+        total = np.concatenate([[0.0], np.cumsum(width / spacing[edge[k] : edge[k + 1]])])
+        intervals = int(max(1, min(round(total[-1]), most[k])))
+        inner = np.interp(np.linspace(0, total[-1], intervals + 1)[1:-1], total, middle)
+        pieces += [inner, np.repeat(end, DEGREE + 1)]
     return np.concatenate(pieces)
 
 
-def fit(u: Array, positions: Array, weights: Array | None, t: Array, breaks: Array) -> Splines:
-    """Least-squares splines through positions (n, 2) at u (n,), weights (n,) = 1 / sigma."""
-    return Splines(make_lsq_spline(u, positions, t, k=DEGREE, w=weights), breaks)
+def fit(
+    u: Array, positions: Array, weights: Array, t: Array, breaks: Array, at: Array
+) -> tuple[Splines, Array]:
+    """Least-squares splines through positions (n, 2) at u (n,), and their variance (m,) at parameters `at` (m,).
 
-
-def leverage_variance(u: Array, weights: Array, t: Array, at: Array) -> Array:
-    """Variance (m,) at parameters `at` of the spline fitted with weights 1 / sigma (n,) at u (n,)."""
-    design = BSpline.design_matrix(u, t, DEGREE).multiply(weights[:, None]).tocsr()
-    normal = (design.T @ design).todia()
-    banded = np.zeros((DEGREE + 1, normal.shape[0]))
-    for k in range(DEGREE + 1):
-        diagonal = normal.diagonal(k)
-        banded[DEGREE - k, k:] = diagonal
+    weights (n,) are 1 / sigma across the contour. A trace of smoothness decides where the data leave a coefficient open.
+    """
+    design = BSpline.design_matrix(u, t, DEGREE)
+    weighted = design.multiply(weights[:, None] ** 2).tocsr()
+    normal = (weighted.T @ design).tocsr()
+    normal = normal + 1e-7 * normal.diagonal().max() * _bending(t, breaks)
+    banded = np.stack([np.concatenate([np.zeros(k), normal.diagonal(k)]) for k in range(DEGREE, -1, -1)])
+    factor = (cholesky_banded(banded), False)
+    curve = BSpline(t, cho_solve_banded(factor, weighted.T @ positions), DEGREE)
     wanted = BSpline.design_matrix(at, t, DEGREE).tocsr()
-    solved = solveh_banded(banded, wanted.T.toarray())
-    return np.asarray(wanted.multiply(solved.T).sum(axis=1)).ravel()
+    solved = cho_solve_banded(factor, wanted.T.toarray())
+    return Splines(curve, breaks), np.asarray(wanted.multiply(solved.T).sum(axis=1)).ravel()
+
+
+def _bending(t: Array, breaks: Array) -> csr_array:
+    """Sum of squared second differences of the coefficients of each contour, as a matrix."""
+    count = len(t) - DEGREE - 1
+    own = np.searchsorted(
+        breaks, 0.5 * (t[:count] + t[DEGREE + 1 :])
+    )  # the contour on which each one's support lies
+    rows = np.arange(count - 2)
+    same = own[:-2] == own[2:]
+    difference = csr_array(
+        (
+            np.outer(same, [1.0, -2.0, 1.0]).ravel(),
+            (np.repeat(rows, 3), (rows[:, None] + np.arange(3)).ravel()),
+        ),
+        shape=(count - 2, count),
+    )
+    return difference.T @ difference

@@ -183,7 +183,5 @@ def _shared(values: Array, contour: np.ndarray) -> Array:
 def _nothing(noise: float) -> Contours:
     t = np.repeat([0.0, 1.0], 4)
     empty, none = np.zeros(0), np.zeros((0, 2))
-    splines = fit(
-        np.linspace(0, 1, 4, endpoint=True) * 0.999, np.zeros((4, 2)), None, t, np.array([0.0, 1.0])
-    )
+    splines = Splines(BSpline(t, np.zeros((4, 2)), DEGREE), np.array([0.0, 1.0]))
     return Contours(splines, empty, np.zeros(0, int), none, none, empty, empty, empty, empty, empty, noise)

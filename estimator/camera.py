@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.errors import InvalidInput
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating]
 
 
 @dataclass(frozen=True)

@@ -116,7 +116,6 @@ def osculating_circle(
     else:
         for start in starts:
             solve(start)
-    out["valid"] = out["valid"] > 0
     return OsculatingCircle(
         **{k: np.moveaxis(a, -1, 0).reshape(shape + a.shape[:-1]) for k, a in out.items()}
     )

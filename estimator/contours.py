@@ -125,13 +125,10 @@ def _profiles(grey: np.ndarray, position: Array, normal: Array) -> Array:
     # rounding moves a sample along the normal too: correct its value by the slope that its line shows there
     moved = np.sum((at - position[..., None, :]) * normal[..., None, :], axis=-1) - s
     n, rows, count = moved.shape
-    values = cv2.remap(
-        grey,
-        at.reshape(n * rows, count, 2).astype(np.float32),
-        None,
-        cv2.INTER_LANCZOS4,
-        borderMode=cv2.BORDER_REPLICATE,
-    ).reshape(n, rows, count)
+    x, y = np.moveaxis(at.reshape(n * rows, count, 2).astype(np.float32), -1, 0)
+    values = cv2.remap(grey, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE).reshape(
+        n, rows, count
+    )
     mean = values.mean(axis=1)
     slope = np.gradient(mean, axis=1)
     return mean - slope * moved.mean(axis=1)

@@ -100,7 +100,7 @@ def _subpixel(pixels: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> Array:
     at = (pixels[:, None] + direction[:, None] * np.array([-1.0, 0.0, 1.0])[:, None]).astype(np.float32)
     if len(pixels) == 0:
         return np.zeros((0, 2))
-    sampled = [cv2.remap(d, at, None, cv2.INTER_LINEAR) for d in (dx, dy)]  # type: ignore[call-overload]
+    sampled = [cv2.remap(d, at[..., 0], at[..., 1], cv2.INTER_LINEAR) for d in (dx, dy)]
     before, here, after = np.hypot(*sampled).T
     bend = before - 2 * here + after
     shift = np.where(bend < -1e-6, 0.5 * (before - after) / np.minimum(bend, -1e-6), 0.0)

@@ -40,6 +40,7 @@ class Shape:
         gaussian_sign: (n,) sign of the Gaussian curvature where extremal, else 0.
         views: (n,) number of views in which the point was seen; complete: (n,) whether that is all.
         limb: (n,) mean photometric evidence of a limb.
+        tangents: (n, 2) unit tangents [px] of the image contour, the surface to their right where extremal.
     """
 
     reference: int
@@ -61,6 +62,7 @@ class Shape:
     views: np.ndarray
     complete: np.ndarray
     limb: Array
+    tangents: Array
 
 
 def estimate_shape(views: Sequence[View], progress: Callable[[int, int], None] | None = None) -> Shape:
@@ -174,6 +176,7 @@ def _shape(views: list[View], contours: Contours, tracks: Tracks, fit: _Fit) -> 
         views=fit.seen.sum(axis=1)[chosen],
         complete=fit.seen.all(axis=1)[chosen],
         limb=limb[chosen],
+        tangents=(tracks.tangents * np.where(side * tracks.ahead < 0, -1.0, 1.0)[:, None])[chosen],
     )
 
 
@@ -199,8 +202,8 @@ def _position_covariance(circles: OsculatingCircle, fit: _Fit, tracks: Tracks) -
     off = fit.sigma[:, 0] * circles.distances[:, 0]
     terms = ((circles.sigma_depth, ray), (circles.sigma_across, normal), (off, plane))
     with np.errstate(invalid="ignore"):
-        outer = sum((s**2)[:, None, None] * d[:, :, None] * d[:, None, :] for s, d in terms)
-    return outer * fit.inflation[:, None, None]
+        outer = [(s**2)[:, None, None] * d[:, :, None] * d[:, None, :] for s, d in terms]
+        return np.sum(outer, axis=0) * fit.inflation[:, None, None]
 
 
 def _gaussian_sign(tracks: Tracks, side: np.ndarray) -> np.ndarray:

@@ -35,6 +35,7 @@ class Tracks:
     Attributes:
         reference: the view in which the points were chosen.
         contour: (n,) the reference view's contour on which each lies, non-decreasing.
+        tangents: (n, 2) unit tangents [px] of that contour, its brighter side to their left.
         tangent_planes: (n, 3) unit normals of the tangent planes in the reference view.
         ahead: (n,) component along the travel of the direction to the contour's brighter side.
         planes: their epipolar planes.
@@ -47,6 +48,7 @@ class Tracks:
 
     reference: int
     contour: np.ndarray
+    tangents: Array
     tangent_planes: Array
     ahead: Array
     planes: EpipolarPlanes
@@ -141,6 +143,7 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
     return Tracks(
         reference,
         edgels.contour[chosen],
+        np.stack([-edgels.normals[chosen, 1], edgels.normals[chosen, 0]], axis=1),
         tangent_planes[chosen],
         direction @ sequence.travel,
         planes,

@@ -116,9 +116,8 @@ def osculating_circle(
     else:
         for start in starts:
             solve(start)
-    return OsculatingCircle(
-        **{k: np.moveaxis(a, -1, 0).reshape(shape + a.shape[:-1]) for k, a in out.items()}
-    )
+    batched = {k: np.moveaxis(a, -1, 0).reshape(shape + a.shape[:-1]) for k, a in out.items()}
+    return OsculatingCircle(**(batched | {"valid": batched["valid"] > 0}))
 
 
 def _outputs(views: int) -> dict[str, tuple[int, ...]]:

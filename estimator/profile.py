@@ -1,7 +1,7 @@
 """Where is the edge in an intensity profile across it? A bank of edge models, each blurred by the known point spread.
 
 Towards an extremal boundary the surface turns away, so that its intensity follows the square root of the distance s
-inside the contour: I(s) = a + b sqrt(s) + c s (+ d s^1.5). A fixed feature has no such term. Every model is linear
+inside the contour: I(s) = a + b sqrt(s) + c s. A fixed feature has no such term. Every model is linear
 but for the edge's offset e, so that for e on a grid the best fit is a projection, the same for all profiles:
 chi2(e) = |y|^2 - |Q(e)' y|^2 (variable projection; Golub and Pereyra 1973). Which model holds is decided by evidence
 pooled along the contour, and what that leaves open widens sigma.
@@ -15,10 +15,11 @@ from scipy.special import erf, ndtr
 
 from extremal.estimator.camera import Array
 
-HALF_WIDTH = 8  # [px] samples on each side of the expected edge
+HALF_WIDTH = 7  # [px] samples on each side of the expected edge
 RANGE, STEP = 1.75, 0.125  # [px] grid of the offset e
 POOLED = 15  # windows over which evidence for a model is summed
 PIXEL_VARIANCE = 1 / 12  # [px^2] of the square pixel, along any direction
+CAUTION = 2.5  # standard deviations of evidence that an additional parameter has to bring
 WIDE = 0.2  # [px] above this sigma the posterior over e is taken as it is, not as a Gaussian
 
 Values = np.ndarray
@@ -41,14 +42,7 @@ class Model:
 MODELS = (
     Model((), False, 1, False),
     Model((2,), True, 1, False),
-    Model((1,), False, 1, True),
-    Model((1,), False, -1, True),
-    Model((1, 2), False, 1, True),
-    Model((1, 2), False, -1, True),
-    Model((1, 2), True, 1, True),
-    Model((1, 2), True, -1, True),
-    Model((1, 2, 3), True, 1, True),
-    Model((1, 2, 3), True, -1, True),
+    *(Model((1, 2), slope, side, True) for slope in (False, True) for side in (1, -1)),
 )
 COLUMNS = max(m.parameters for m in MODELS) - 1
 
@@ -144,7 +138,7 @@ def _fit_window(y: Values, variance: float, blur: float, half_width: int, chains
     parameters = np.array([m.parameters for m in MODELS])
     pooled = _pool(lowest, chains)
     # every window has parameters of its own: each takes 1 +- sqrt(2) off its chi2 even where there is nothing to fit
-    evidence = pooled + parameters * (POOLED + 2.5 * np.sqrt(2 * POOLED))
+    evidence = pooled + parameters * (POOLED + CAUTION * np.sqrt(2 * POOLED))
     weight = np.exp(-0.5 * np.minimum(evidence - evidence.min(axis=1, keepdims=True), 60.0))
     weight[~np.isfinite(sigma)] = 0.0
     weight /= np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)

@@ -1,0 +1,234 @@
+"""Scenes read from TOML: the presets and files that users write."""
+
+import math
+import tomllib
+from collections.abc import Callable
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from extremal.estimator.errors import SceneError
+from extremal.scenes.box import Box
+from extremal.scenes.curves import Appearance
+from extremal.scenes.lathe import Lathe
+from extremal.scenes.markings import MOST_MARKINGS, BoxPatch, LathePatch
+from extremal.scenes.quadrics import Ellipsoid, Sphere
+from extremal.scenes.scene import Background, Light, Scene
+from extremal.scenes.surface import Surface
+
+LARGEST_FILE = 2_000_000  # bytes
+LARGEST_NUMBER = 1e4  # no length, angle in degrees or strength in a scene is larger
+
+
+def presets() -> list[str]:
+    """Names of the scenes that come with the package."""
+    folder = files("extremal.scenes").joinpath("presets")
+    return sorted(item.name[:-5] for item in folder.iterdir() if item.name.endswith(".toml"))
+
+
+def load_scene(name_or_path: str | Path) -> Scene:
+    """The preset of that name, else the scene in that TOML file.
+
+    Raises:
+        SceneError: one line that names the file and what is wrong with it.
+    """
+    if str(name_or_path) in presets():
+        source = files("extremal.scenes").joinpath("presets").joinpath(f"{name_or_path}.toml")
+        with as_file(source) as path:
+            return _read(path)
+    path = Path(name_or_path)
+    if path.suffix != ".toml":
+        raise SceneError(
+            f"unknown scene {str(name_or_path)!r}; accepted: {', '.join(presets())}, or the path of a .toml file"
+        )
+    return _read(path)
+
+
+def _read(path: Path) -> Scene:
+    try:
+        if not path.is_file():
+            raise SceneError(f"scene file {str(path)!r} does not exist")
+        if path.stat().st_size > LARGEST_FILE:
+            raise SceneError(f"scene file {str(path)!r} is larger than {LARGEST_FILE} bytes")
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{path.name}: malformed TOML: {_one_line(error)}") from None
+    except (OSError, UnicodeError, ValueError, RecursionError) as error:
+        raise (
+            error
+            if isinstance(error, SceneError)
+            else SceneError(f"scene file {str(path)!r} cannot be read: {_one_line(error)}")
+        ) from None
+    try:
+        return _scene(_Table(table, "scene"), path)
+    except SceneError as error:
+        raise SceneError(f"{path.name}: {_one_line(error)}") from None
+
+
+def _one_line(error: Exception) -> str:
+    return " ".join(str(error).split())
+
+
+class _Table:
+    """A TOML table that is emptied key by key, so that what is left over is unknown."""
+
+    def __init__(self, values: Any, where: str) -> None:
+        if not isinstance(values, dict):
+            raise SceneError(f"{where} is {values!r:.60}; accepted: a table")
+        self.values, self.where, self.known = dict(values), where, []
+
+    def take(self, key: str, read: Callable[[Any, str], Any], default: Any = ...) -> Any:
+        self.known.append(key)
+        if key not in self.values:
+            if default is ...:
+                raise SceneError(f"{self.where} lacks the key {key!r}")
+            return default
+        return read(self.values.pop(key), f"{self.where}.{key}")
+
+    def tables(self, key: str) -> list["_Table"]:
+        return self.take(
+            key,
+            lambda items, where: [
+                _Table(item, f"{where}[{i}]") for i, item in enumerate(_list(items, where))
+            ],
+            [],
+        )
+
+    def done(self) -> None:
+        if self.values:
+            raise SceneError(
+                f"{self.where} has the unknown key {next(iter(self.values))!r:.60}; accepted: {', '.join(self.known)}"
+            )
+
+
+def _number(value: Any, where: str) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not math.isfinite(value) or abs(value) > LARGEST_NUMBER:
+        raise SceneError(f"{where} is {value!r:.60}; accepted: a number within +-{LARGEST_NUMBER:g}")
+    return float(value)
+
+
+def _text(value: Any, where: str) -> str:
+    if not isinstance(value, str) or not 1 <= len(value) <= 200 or not value.isprintable():
+        raise SceneError(f"{where} is {value!r:.60}; accepted: a short text")
+    return value
+
+
+def _list(value: Any, where: str) -> list:
+    if not isinstance(value, list):
+        raise SceneError(f"{where} is {value!r:.60}; accepted: a list")
+    if len(value) > MOST_MARKINGS:
+        raise SceneError(f"{where} has {len(value)} items; accepted: up to {MOST_MARKINGS}")
+    return value
+
+
+def _numbers(count: int | None = None) -> Callable[[Any, str], tuple[float, ...]]:
+    def read(value: Any, where: str) -> tuple[float, ...]:
+        numbers = tuple(_number(item, f"{where}[{i}]") for i, item in enumerate(_list(value, where)))
+        if count is not None and len(numbers) != count:
+            raise SceneError(f"{where} has {len(numbers)} numbers; accepted: {count}")
+        return numbers
+
+    return read
+
+
+def _colour(value: Any, where: str) -> tuple[float, ...]:
+    """A grey level, [r, g, b] or [r, g, b, a], each in [0, 1]."""
+    if not isinstance(value, list):
+        return (_number(value, where),) * 3 + (1.0,)
+    numbers = _numbers()(value, where)
+    if len(numbers) not in (3, 4):
+        raise SceneError(
+            f"{where} has {len(numbers)} numbers; accepted: a grey level, [r, g, b] or [r, g, b, a]"
+        )
+    return numbers if len(numbers) == 4 else (*numbers, 1.0)
+
+
+def _scene(table: _Table, path: Path) -> Scene:
+    name = table.take("name", _text, path.stem)
+    target = table.take("target", _numbers(3), (0.0, 0.0, 0.1))
+    sky = table.take("sky", _colour, (0.85, 0.87, 0.9, 1.0))[:3]
+    lights = []
+    for light in table.tables("lights"):
+        values = {"direction": light.take("direction", _numbers(3))}
+        for key in ("diffuse", "ambient", "specular"):
+            values[key] = light.take(key, _number, getattr(Light, key))
+        light.done()
+        lights.append(Light(**values))
+    objects = [_object(item, path.resolve().parent) for item in table.tables("objects")]
+    table.done()
+    return Scene(tuple(objects), tuple(lights), Background(sky), target, name)  # pyright: ignore[reportArgumentType]
+
+
+def _object(table: _Table, folder: Path) -> Surface:
+    kind = table.take("type", _text)
+    if kind not in _READERS:
+        raise SceneError(f"{table.where}.type is {kind!r}; accepted: {', '.join(_READERS)}")
+    position = table.take("position", _numbers(3), (0.0, 0.0, 0.0))
+    angles = table.take("rotation_deg", _numbers(3), (0.0, 0.0, 0.0))
+    # Rotations about the fixed world axes x, y, z in this order.
+    pose = RigidTransform.from_components(
+        np.array(position), Rotation.from_euler("xyz", angles, degrees=True)
+    )
+    common = {
+        "name": table.take("name", _text, kind),
+        "T_world_object": pose,
+        "appearance": Appearance(
+            table.take("colour", _colour, Appearance.rgba),  # pyright: ignore[reportArgumentType]
+            table.take("specular", _number, Appearance.specular),
+            table.take("shininess", _number, Appearance.shininess),
+        ),
+    }
+    surface = _READERS[kind](table, common, folder)
+    table.done()
+    return surface
+
+
+def _lathe(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
+    z, r = table.take("profile_z", _numbers()), table.take("profile_r", _numbers())
+    return Lathe(z, r, tuple(_lathe_patch(m, i) for i, m in enumerate(table.tables("markings"))), **common)
+
+
+def _lathe_patch(table: _Table, i: int) -> LathePatch:
+    patch = LathePatch(
+        table.take("name", _text, f"marking{i}"),
+        math.radians(table.take("azimuth_deg", _number, 0.0)),
+        math.radians(table.take("width_deg", _number)),
+        table.take("bottom", _number),
+        table.take("top", _number),
+        table.take("colour", _colour),
+    )
+    table.done()
+    return patch
+
+
+def _box(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
+    size = table.take("size", _numbers(3))
+    return Box(size, tuple(_box_patch(m, i) for i, m in enumerate(table.tables("markings"))), **common)
+
+
+def _box_patch(table: _Table, i: int) -> BoxPatch:
+    patch = BoxPatch(
+        table.take("name", _text, f"marking{i}"),
+        table.take("face", _text),
+        table.take("centre", _numbers(2)),
+        table.take("size", _numbers(2)),
+        table.take("colour", _colour),
+    )
+    table.done()
+    return patch
+
+
+def _lengths(shape: Callable[..., Surface], *keys: str) -> Callable[[_Table, dict[str, Any], Path], Surface]:
+    return lambda table, common, folder: shape(*(table.take(key, _number) for key in keys), **common)
+
+
+_READERS: dict[str, Callable[[_Table, dict[str, Any], Path], Surface]] = {
+    "lathe": _lathe,
+    "box": _box,
+    "sphere": _lengths(Sphere, "radius"),
+    "ellipsoid": _lengths(Ellipsoid, "a", "b", "c"),
+}

@@ -24,6 +24,7 @@ INSTALL = {
 WITHOUT_ROOT = 'pip install "extremal[gl]"'
 PROBE_SECONDS = 30
 WHEEL = "lavavu-osmesa"  # of the extra `gl`
+BUNDLED = "EXTREMAL_OSMESA"  # environment variable: the wheel's library, in child processes too
 _CONTEXT_MODULES = ("mujoco", "mujoco.gl_context", "mujoco.rendering.classic.gl_context")
 _lock = threading.Lock()
 _selected: list["Backend"] = []
@@ -42,8 +43,8 @@ def select_backend(preferred: str | None = None) -> Backend:
     """Find a working OpenGL and make MuJoCo use it; call before the first renderer is made.
 
     Order: `preferred`, else the environment's MUJOCO_GL, else egl, then osmesa (of the system, then of the wheel in
-    `extremal[gl]`). Takes about 0.1 s the first time and nothing afterwards. Sets MUJOCO_GL and PYOPENGL_PLATFORM, for
-    child processes too.
+    `extremal[gl]`). Costs 0.1 s (and MuJoCo's import) the first time, nothing afterwards. Child processes inherit the
+    choice through the environment.
 
     Raises RenderingError (one line: what was tried, what to install) if nothing works, if a name is not one of
     egl, osmesa, glfw, or if another backend is in use already.
@@ -54,15 +55,22 @@ def select_backend(preferred: str | None = None) -> Backend:
             _selected.append(_find((wanted,) if wanted else AUTOMATIC))
         backend = _selected[0]
     if preferred and wanted != backend.name:
-        raise RenderingError(f"OpenGL backend {wanted!r} can't be used: this process renders by {backend.name}")
+        raise RenderingError(
+            f"OpenGL backend {wanted!r} can't be used: this process renders by {backend.name}"
+        )
     return backend
 
 
 def _wanted(preferred: str | None) -> str | None:
-    source, value = ("backend", preferred) if preferred else ("MUJOCO_GL", os.environ.get("MUJOCO_GL", ""))
+    fallback = "osmesa" if BUNDLED in os.environ else ""
+    source, value = (
+        ("backend", preferred) if preferred else ("MUJOCO_GL", os.environ.get("MUJOCO_GL") or fallback)
+    )
     name = value.strip().lower()
     if name and name not in ACCEPTED:
-        raise RenderingError(f"{source} is {value!r}; accepted: {', '.join(ACCEPTED)}, or unset to try egl and osmesa")
+        raise RenderingError(
+            f"{source} is {value!r}; accepted: {', '.join(ACCEPTED)}, or unset to try egl and osmesa"
+        )
     return name or None
 
 
@@ -92,7 +100,14 @@ def _probe(name: str, library: str) -> tuple[bool, str]:
     isolated = ("-I",) if name == "glfw" else ("-I", "-S")
     command = [sys.executable, *isolated, str(Path(__file__).with_name("gl_probe.py")), name, library]
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_SECONDS, stdin=subprocess.DEVNULL)
+        done = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            check=False,
+            timeout=PROBE_SECONDS,
+            stdin=subprocess.DEVNULL,
+        )
     except subprocess.TimeoutExpired:
         return False, f"hangs for {PROBE_SECONDS} s"
     if done.returncode < 0:
@@ -103,24 +118,21 @@ def _probe(name: str, library: str) -> tuple[bool, str]:
 
 def _bind(name: str, library: str) -> None:
     """Make MuJoCo, imported or not, and PyOpenGL use the backend."""
-    os.environ["MUJOCO_GL"] = name
-    if name in AUTOMATIC:
-        loaded = getattr(sys.modules.get("OpenGL.platform"), "PLATFORM", None)
-        if loaded is not None and name not in type(loaded).__name__.lower():
-            raise RenderingError(
-                f"PyOpenGL was loaded for another platform ({type(loaded).__name__}) before {name} was chosen; "
-                f"accepted: PYOPENGL_PLATFORM={name} from the start"
-            )
-        os.environ["PYOPENGL_PLATFORM"] = name
-    else:
-        os.environ.pop("PYOPENGL_PLATFORM", None)
+    loaded = getattr(sys.modules.get("OpenGL.platform"), "PLATFORM", None)
+    if name in AUTOMATIC and loaded is not None and name not in type(loaded).__name__.lower():
+        raise RenderingError(
+            f"PyOpenGL was loaded for another platform ({type(loaded).__name__}) before {name} was chosen; "
+            f"accepted: PYOPENGL_PLATFORM={name} from the start"
+        )
+    os.environ["MUJOCO_GL"] = os.environ["PYOPENGL_PLATFORM"] = name
+    if name == "glfw":
+        del os.environ["PYOPENGL_PLATFORM"]
     if library:
         _use_wheel(library)
-    imported = [sys.modules[m] for m in _CONTEXT_MODULES if m in sys.modules]
-    if imported:
-        context = importlib.import_module(f"mujoco.{name}").GLContext
-        for module in imported:
-            module.GLContext = context  # pyright: ignore[reportAttributeAccessIssue]
+    context = importlib.import_module(f"mujoco.{name}").GLContext
+    for module in _CONTEXT_MODULES:
+        if module in sys.modules:
+            vars(sys.modules[module])["GLContext"] = context
 
 
 def _wheel_library() -> str | None:
@@ -132,8 +144,15 @@ def _wheel_library() -> str | None:
 
 
 def _use_wheel(library: str) -> None:
-    """Point PyOpenGL at the wheel's libOSMesa, which lies under a name of its own outside the loader's path."""
+    """Point PyOpenGL at the wheel's libOSMesa, which lies under a name of its own outside the loader's path.
+
+    MUJOCO_GL is removed, because a child process that imports MuJoCo before this ran would fail by it; BUNDLED says to
+    the child what was chosen.
+    """
     from OpenGL.plugins import PlatformPlugin
 
-    os.environ["EXTREMAL_OSMESA"] = library
-    PlatformPlugin.by_name("osmesa").import_path = "extremal.sim.gl_wheel.WheelOSMesaPlatform"
+    os.environ[BUNDLED] = library
+    del os.environ["MUJOCO_GL"]
+    plugin = PlatformPlugin.by_name("osmesa")
+    assert plugin is not None
+    plugin.import_path = "extremal.sim.gl_wheel.WheelOSMesaPlatform"

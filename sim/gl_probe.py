@@ -7,6 +7,7 @@ it starts in milliseconds with `python -I -S`.
 import ctypes
 import sys
 from ctypes import CDLL, CFUNCTYPE, byref, c_char_p, c_int, c_uint, c_void_p
+from pathlib import Path
 from typing import Any
 
 GL_RENDERER = 0x1F01
@@ -61,7 +62,7 @@ def _egl_renderer(lib: CDLL, display: int) -> str:
 
 def osmesa(library: str) -> str:
     """Renderer of a small OSMesa context."""
-    lib = _load(library) if library else _load("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
+    lib = load_bundled(library) if library else _load("libOSMesa.so.8", "libOSMesa.so.6", "libOSMesa.so")
     lib.OSMesaCreateContextExt.restype = c_void_p
     lib.OSMesaCreateContextExt.argtypes = [c_int, c_int, c_int, c_int, c_void_p]
     lib.OSMesaMakeCurrent.argtypes = [c_void_p, c_void_p, c_int, c_int, c_int]
@@ -87,13 +88,32 @@ def glfw(_: str) -> str:
     return _renderer(library.get_proc_address)
 
 
+def load_bundled(library: str) -> CDLL:
+    """Load a wheel's library after those beside it that it needs (the wheel gives no search path to the loader)."""
+    waiting = [path for path in Path(library).parent.glob("*.so*") if path != Path(library)]
+    while waiting:
+        failed = [path for path in waiting if not _loads(path)]
+        if len(failed) == len(waiting):
+            break
+        waiting = failed
+    return CDLL(library, ctypes.RTLD_GLOBAL)
+
+
+def _loads(path: Path) -> bool:
+    try:
+        return bool(CDLL(str(path), ctypes.RTLD_GLOBAL))
+    except OSError:
+        return False
+
+
 def _load(*names: str) -> CDLL:
+    reasons = []
     for name in names:
         try:
             return CDLL(name, ctypes.RTLD_GLOBAL)
         except OSError as error:
-            reason = error
-    raise OSError(reason)
+            reasons.append(str(error))
+    raise OSError(reasons[0])
 
 
 def _function(lookup: Any, name: str, result: Any, *arguments: Any) -> Any:

@@ -1,0 +1,11 @@
+"""The one conversion between MuJoCo's camera axes (x right, y up, z backward) and OpenCV's."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+_HALF_TURN_ABOUT_X = RigidTransform.from_rotation(Rotation.from_matrix(np.diag([1.0, -1.0, -1.0])))
+
+
+def swap_camera_axes(T_world_camera: RigidTransform) -> RigidTransform:
+    """The same camera with OpenCV's axes if it had MuJoCo's, with MuJoCo's if it had OpenCV's."""
+    return T_world_camera * _HALF_TURN_ABOUT_X

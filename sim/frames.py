@@ -1,0 +1,130 @@
+"""Frames of many poses, by several processes where that is quicker; the same bytes for any number of them."""
+
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import current_process, get_context
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from extremal.estimator.camera import Camera
+from extremal.estimator.errors import InvalidInput, RenderingError
+from extremal.sim.gl import select_backend
+from extremal.sim.quality import Quality
+from extremal.sim.rendering import FrameRenderer
+
+Progress = Callable[[int, int], None]
+
+# Measured on two cores with llvmpipe: what one process takes for a vertex and for a rendered pixel [s], and what a
+# further process takes before its first frame [s].
+VERTEX_SECONDS, PIXEL_SECONDS = 2.5e-7, 3e-8
+START_SECONDS = 2.0
+
+_renderer: list[FrameRenderer] = []
+
+
+def render_frames(
+    model: mujoco.MjModel,
+    camera: Camera,
+    quality: Quality,
+    T_world_camera: RigidTransform,
+    workers: int | None = None,
+    progress: Progress | None = None,
+) -> list[NDArray[np.float32]]:
+    """Frames without noise (height, width) [grey levels] for poses (V).
+
+    Args:
+        model: from `scene_model`.
+        workers: number of processes; 1: this one alone; None: what is estimated to be quickest. More than one
+            imports the main module again, as always with spawned processes: scripts need the
+            `if __name__ == "__main__"` guard.
+        progress: called with (frames done, frames in all) after every frame, in this process.
+
+    Raises:
+        RenderingError: rendering fails, or a process of its own can't be started.
+    """
+    if workers is not None and not 1 <= workers <= 256:
+        raise InvalidInput(f"workers is {workers!r}; accepted: 1 to 256, or None to choose")
+    count = len(T_world_camera)
+    if workers is None:
+        workers = _quickest(model, camera, quality, count)
+    report = progress or (lambda done, total: None)
+    report(0, count)
+    if min(workers, count) == 1:
+        return _render_here(model, camera, quality, T_world_camera, report)
+    return _render_there(model, camera, quality, T_world_camera, min(workers, count), report)
+
+
+def _quickest(model: mujoco.MjModel, camera: Camera, quality: Quality, count: int) -> int:
+    if current_process().daemon:
+        return 1  # must not have children
+    pixels = camera.width * camera.height * quality.supersampling**2
+    vertices = 3 * model.nmeshface / 2
+    serial = count * quality.passes * (VERTEX_SECONDS * vertices + PIXEL_SECONDS * pixels)
+    cores = min(len(os.sched_getaffinity(0)), count, 8)
+    return cores if cores > 1 and serial / cores + START_SECONDS < 0.9 * serial else 1
+
+
+def _render_here(
+    model: mujoco.MjModel, camera: Camera, quality: Quality, poses: RigidTransform, report: Progress
+) -> list[NDArray[np.float32]]:
+    frames = []
+    with FrameRenderer(model, camera, quality) as renderer:
+        for i in range(len(poses)):
+            frames.append(renderer.render(poses[i]))
+            report(i + 1, len(poses))
+    return frames
+
+
+def _render_there(
+    model: mujoco.MjModel,
+    camera: Camera,
+    quality: Quality,
+    poses: RigidTransform,
+    workers: int,
+    report: Progress,
+) -> list[NDArray[np.float32]]:
+    select_backend()
+    frames: dict[int, NDArray[np.float32]] = {}
+    try:
+        with (
+            _single_threaded_gl(),
+            ProcessPoolExecutor(workers, get_context("spawn"), _start, (model, camera, quality)) as pool,
+        ):
+            jobs = {pool.submit(_render, poses[i]): i for i in range(len(poses))}
+            for job in as_completed(jobs):
+                frames[jobs[job]] = job.result()
+                report(len(frames), len(poses))
+    except BrokenProcessPool as error:
+        raise RenderingError(
+            'a rendering process died; a script must call this under `if __name__ == "__main__":`, or with workers=1'
+        ) from error
+    return [frames[i] for i in range(len(poses))]
+
+
+@contextmanager
+def _single_threaded_gl() -> Iterator[None]:
+    """Processes started here render in one thread each: llvmpipe's own would only compete."""
+    before = os.environ.get("LP_NUM_THREADS")
+    os.environ["LP_NUM_THREADS"] = "0"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["LP_NUM_THREADS"]
+        else:
+            os.environ["LP_NUM_THREADS"] = before
+
+
+def _start(model: mujoco.MjModel, camera: Camera, quality: Quality) -> None:
+    """In a worker: its renderer lives as long as the process."""
+    _renderer.append(FrameRenderer(model, camera, quality).__enter__())
+
+
+def _render(pose: RigidTransform) -> NDArray[np.float32]:
+    return _renderer[0].render(pose)

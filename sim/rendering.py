@@ -1,0 +1,172 @@
+"""Offscreen frames without noise: MuJoCo renders finely, the point-spread function and the pixels average."""
+
+from types import TracebackType
+from typing import Self
+
+import cv2
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from extremal.estimator.camera import Camera
+from extremal.estimator.errors import InvalidInput, RenderingError
+from extremal.sim.axes import swap_camera_axes
+from extremal.sim.gl import select_backend
+from extremal.sim.quality import Quality, get_quality, sampling_matrix
+from extremal.sim.window import Window
+
+EYE = "eye"
+SAMPLES = 4  # of MSAA; llvmpipe offers no more
+NEAR = 0.02  # nearest distance that is drawn [m]
+MAX_BUFFER = 16384  # longest side of a rendered frame [px]
+# llvmpipe rounds vertices down to 1/256 px, so that on average everything stands 1/512 rendered px left and up.
+SNAP = 1 / 512
+
+
+def scene_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
+    """Compile a scene with the body `EYE`, a camera that can be put anywhere. The spec is modified.
+
+    Raises:
+        RenderingError: MuJoCo can't compile it.
+    """
+    eye = spec.worldbody.add_body(name=EYE, mocap=True)
+    eye.add_camera(name=EYE)
+    spec.visual.quality.shadowsize = 0
+    spec.visual.quality.offsamples = SAMPLES
+    try:
+        return spec.compile()
+    except ValueError as error:
+        raise RenderingError(f"MuJoCo can't compile the scene: {error}") from error
+
+
+class FrameRenderer:
+    """Renders frames of one model with one camera, in a context manager; of one thread.
+
+    A frame is float32 grey levels (height, width) in 0..255: the scene's luminance (mean of R, G, B), convolved with the
+    Gaussian of `camera.blur` and the pixel's box. Pixel (0, 0) is the centre of the top-left pixel.
+
+    Args:
+        model: from `scene_model`.
+        camera: intrinsics, distortion and blur.
+        quality: a name in `QUALITIES`, or one of your own.
+
+    Raises:
+        RenderingError: offscreen rendering is not available, or gives another buffer than asked for.
+    """
+
+    def __init__(self, model: mujoco.MjModel, camera: Camera, quality: str | Quality = "standard") -> None:
+        self.camera, self.quality = camera, get_quality(quality)
+        self._model, self._data = model, mujoco.MjData(model)
+        self._window = Window.around(camera, self.quality.supersampling)
+        s = self.quality.supersampling
+        self._rows = sampling_matrix(camera.height, s, camera.blur)[
+            :, ::-1
+        ]  # OpenGL's rows start at the bottom
+        self._columns = sampling_matrix(camera.width, s, camera.blur)
+        self._gl: mujoco.GLContext | None = None
+        self._context: mujoco.MjrContext | None = None
+        self._check_model()
+
+    def __enter__(self) -> Self:
+        select_backend()
+        model, (height, width) = self._model, self._window.shape
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        model.vis.quality.offsamples, model.vis.quality.shadowsize = SAMPLES, 0
+        model.vis.map.znear = NEAR / model.stat.extent
+        eye = model.camera(EYE).id
+        model.cam_resolution[eye] = model.cam_sensorsize[eye] = width, height  # lengths in rendered pixels
+        try:
+            self._gl = mujoco.GLContext(64, 64)
+            self._gl.make_current()
+            self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_50))
+        except Exception as error:
+            self.close()
+            raise RenderingError(f"no offscreen rendering of {width} x {height} px: {error}") from error
+        self._check_buffer()
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self._scene.flags[flag] = 0
+        self._view = mujoco.MjvCamera()
+        self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, eye
+        self._option = mujoco.MjvOption()
+        self._pixels = np.empty((height, width, 3), np.uint8)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the buffers; the renderer can be entered again."""
+        if self._context is not None:
+            self._context.free()
+            self._context = None
+        if self._gl is not None:
+            self._gl.free()
+            self._gl = None
+
+    def render(self, T_world_camera: RigidTransform) -> NDArray[np.float32]:
+        """The frame (height, width) [grey levels] seen from a pose.
+
+        Raises:
+            InvalidInput: the pose is not finite.
+            RenderingError: outside the context manager.
+        """
+        if self._context is None or self._gl is None:
+            raise RenderingError("the renderer is closed; use it in a `with` statement")
+        if not (T_world_camera.single and np.all(np.isfinite(T_world_camera.as_matrix()))):
+            raise InvalidInput("T_world_camera must be one finite transform")
+        self._gl.make_current()
+        eye = swap_camera_axes(T_world_camera)
+        self._data.mocap_pos[0] = eye.translation
+        self._data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        total = np.zeros(self._window.shape, np.float32)
+        for offset in self.quality.offsets:
+            self._draw(offset)
+            for channel in cv2.split(self._pixels):
+                cv2.add(total, channel, dst=total, dtype=cv2.CV_32F)
+        if self.camera.is_distorted:
+            total = self._window.distort(total)
+        # Sparse products: the same bytes on every machine and with any number of threads.
+        frame = (self._columns @ np.ascontiguousarray((self._rows @ total).T)).T
+        return np.ascontiguousarray(frame / np.float32(3 * self.quality.passes))
+
+    def _draw(self, offset: NDArray[np.floating]) -> None:
+        """Render one pass into `self._pixels`, bottom row first; `offset` (2,) shifts the image [rendered px]."""
+        (fx, fy), (cx, cy) = self._window.focal, self._window.principal + offset + SNAP
+        height, width = self._window.shape
+        # MuJoCo's principal point: both coordinates measured from the centre, against the image axes.
+        self._model.cam_intrinsic[self._view.fixedcamid] = fx, fy, width / 2 - cx, height / 2 - cy
+        categories = int(mujoco.mjtCatBit.mjCAT_ALL)
+        mujoco.mjv_updateScene(
+            self._model, self._data, self._option, None, self._view, categories, self._scene
+        )
+        viewport = mujoco.MjrRect(0, 0, width, height)
+        mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._context)
+        mujoco.mjr_render(viewport, self._scene, self._context)
+        mujoco.mjr_readPixels(self._pixels, None, viewport, self._context)
+
+    def _check_model(self) -> None:
+        if mujoco.mj_name2id(self._model, int(mujoco.mjtObj.mjOBJ_CAMERA), EYE) < 0:
+            raise InvalidInput(f"the model has no camera {EYE!r}; accepted: models made by scene_model")
+        if max(self._window.shape) > MAX_BUFFER:
+            size = "x".join(map(str, self._window.shape[::-1]))
+            raise InvalidInput(
+                f"quality {self.quality.name} renders this camera at {size} px; accepted: sides up to {MAX_BUFFER} px"
+            )
+
+    def _check_buffer(self) -> None:
+        """MuJoCo falls back in silence to what the driver can do."""
+        context = self._context
+        assert context is not None
+        got = (context.offHeight, context.offWidth, context.offSamples)
+        wanted = (*self._window.shape, SAMPLES)
+        if got != wanted:
+            self.close()
+            raise RenderingError(
+                f"the offscreen buffer is (height, width, samples) = {got}; needed: {wanted}"
+            )

@@ -20,7 +20,10 @@ SHARED = 4  # edgels on each side that share their misfit to the spline
 LONGEST_GAP = 3  # edgels that a contour may miss in a row
 HUBER = 2.5  # standard deviations beyond which an edgel loses weight
 SUBPIXEL = 32  # cv2.remap quantises coordinates to this fraction of a pixel: ask only for such
-LEAST_SIGMA = 0.004  # [px] floor: what the interpolation and the models of the edge leave
+SYSTEMATIC = (
+    0.01  # [px] what the models of shading leave, alike in neighbouring edgels: no spline averages it out
+)
+KINK = 3.0  # [px^2] error of the spline per change of curvature [1/px] within 5 px to each side
 LARGEST_SIGMA = 0.7  # [px] an edgel that is known less well is no edgel
 
 
@@ -70,7 +73,7 @@ def find_contours(image: np.ndarray, camera: Camera) -> Contours:
 def _through_pixels(chains: Chains) -> Splines:
     u, breaks = arc_length(chains.positions, chains.chain)
     count = np.bincount(chains.chain)
-    t = knots(u, chains.chain, breaks, np.full(len(u), FIRST_SPACING), count // 3)
+    t = knots(u, chains.chain, breaks, np.full(len(u), FIRST_SPACING), count // 3, 2.0)
     return fit(u, chains.positions, np.ones(len(u)), t, breaks, u[:1])[0]
 
 
@@ -88,10 +91,11 @@ def _localised(grey: np.ndarray, curves: Splines, noise: float, camera: Camera) 
     if not keep.any():
         return _nothing(noise)
     positions = (position[:, ROWS // 2] + offset[:, None] * middle)[keep]
-    sigma = np.hypot(edges.sigma[keep], LEAST_SIGMA)
+    sigma = edges.sigma[keep]
     u, breaks = arc_length(positions, contour)
     splines, spline_sigma = _through_edgels(u, positions, sigma, bend[keep], contour, breaks)
     position, _, normal, bend = splines.frame(u)
+    spline_sigma = np.sqrt(spline_sigma**2 + SYSTEMATIC**2 + (KINK * _bend_change(bend, contour)) ** 2)
     return Contours(
         splines,
         u,
@@ -153,18 +157,23 @@ def _through_edgels(
     """Splines through the edgels, and their sigma (n,) across themselves, widened where they do not fit."""
     radius = 1 / np.maximum(maximum_filter1d(np.abs(bend), 3), 1e-4)
     spacing = np.clip(BEND_SPACING * radius**0.75, 1.5 * ROWS, SPACING)
-    t = knots(u, contour, breaks, spacing, np.maximum(np.bincount(contour) - 3, 1))
+    t = knots(u, contour, breaks, spacing, np.bincount(contour) - 3, 1.5 * ROWS)
     weights = 1 / sigma
+    splines, _ = fit(u, positions, weights, t, breaks, u[:1])
+    at, _, normal, _ = splines.frame(u)
+    misfit = np.abs(np.sum((positions - at) * normal, axis=1)) / sigma
+    weights = np.minimum(1.0, HUBER / np.maximum(misfit, 1e-9)) / sigma
     splines, variance = fit(u, positions, weights, t, breaks, u)
-    for _ in range(2):
-        at, _, normal, _ = splines.frame(u)
-        misfit = np.abs(np.sum((positions - at) * normal, axis=1)) / sigma
-        weights = np.minimum(1.0, HUBER / np.maximum(misfit, 1e-9)) / sigma
-        splines, variance = fit(u, positions, weights, t, breaks, u)
     at, _, normal, _ = splines.frame(u)
     misfit = (np.sum((positions - at) * normal, axis=1) * weights) ** 2
     freedom = np.maximum(1 - variance * weights**2, 0.0)  # what the spline leaves of each edgel's residual
     return splines, np.sqrt(variance * np.maximum(1.0, _shared(misfit, contour) / _shared(freedom, contour)))
+
+
+def _bend_change(bend: Array, contour: np.ndarray) -> Array:
+    """Largest change (n,) of curvature to the next edgels on the same contour."""
+    change = np.where(contour[1:] == contour[:-1], np.abs(np.diff(bend)), 0.0)
+    return np.maximum(np.append(change, 0.0), np.append(0.0, change))
 
 
 def _shared(values: Array, contour: np.ndarray) -> Array:

@@ -28,7 +28,7 @@ class Chains:
 def noise_level(grey: Array) -> float:
     """Standard deviation [grey levels] of the noise of a pixel, robust against edges (Immerkaer 1996)."""
     kernel = np.outer([1, -2, 1], [1, -2, 1]).astype(np.float32)
-    response = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1:3, 1:-1:2])
+    response = np.abs(cv2.filter2D(grey, cv2.CV_32F, kernel)[1:-1:4, 1:-1:3])
     return max(float(np.median(response)) / 0.6745 / 6.0, 12**-0.5)
 
 

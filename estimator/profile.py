@@ -107,16 +107,16 @@ def fit_profiles(profiles: Array, noise: float, rows: int, blur: float, chains: 
         chains: (n,) contour of each profile, non-decreasing: evidence is not pooled across contours.
     """
     variance = noise**2 / rows
-    y = profiles - profiles.mean(axis=1, keepdims=True)
-    near = [
-        _fit_window(y.astype(np.float32), variance, blur, half, chains)
-        for half in (HALF_WIDTH, HALF_WIDTH // 2)
-    ]
+    y = (profiles - profiles.mean(axis=1, keepdims=True)).astype(np.float32)
+    fit = _fit_window(y, variance, blur, HALF_WIDTH, chains)
+    values, misfit = fit.values, fit.misfit
     # another edge close by spoils the wide window, not the narrow one
-    narrow = near[1].misfit * 1.5 + 0.5 < near[0].misfit
-    pick = np.where(narrow[:, None], np.stack([near[1].values], 0)[0], near[0].values)
-    misfit = np.where(narrow, near[1].misfit, near[0].misfit)
-    offset, sigma, limb = pick.T
+    spoilt = np.flatnonzero(misfit > 1.5)
+    if len(spoilt):
+        narrow = _fit_window(y[spoilt], variance, blur, HALF_WIDTH // 2 + 1, chains[spoilt])
+        better = narrow.misfit * 1.5 + 0.5 < misfit[spoilt]
+        values[spoilt[better]], misfit[spoilt[better]] = narrow.values[better], narrow.misfit[better]
+    offset, sigma, limb = values.T
     positive, negative = profiles[:, -5:-2].mean(axis=1), profiles[:, 2:5].mean(axis=1)
     return ProfileFit(offset, sigma * np.sqrt(np.maximum(misfit, 1.0)), positive - negative, limb)
 

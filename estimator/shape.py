@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from extremal.estimator.camera import Array, View
 from extremal.estimator.circle import OsculatingCircle, osculating_circle
@@ -76,12 +77,13 @@ def estimate_shape(views: Sequence[View], progress: Callable[[int, int], None] |
         DegenerateGeometry: fewer than three views, or a camera that does not move.
     """
     sequence = Sequence3D.of(views)
-    contours, maps = _all_contours(views, progress)
-    reference = len(views) // 2
-    tracks = track(sequence, contours, maps, reference)
-    order = np.array([reference, *(i for i in range(len(views)) if i != reference)])
-    ordered = [views[i] for i in order]
-    return _shape(ordered, contours[reference], tracks, _fit_circles(ordered, sequence, tracks, order))
+    with threadpool_limits(1, "blas"):  # many small matrices: views are spread over the processors instead
+        contours, maps = _all_contours(views, progress)
+        reference = len(views) // 2
+        tracks = track(sequence, contours, maps, reference)
+        order = np.array([reference, *(i for i in range(len(views)) if i != reference)])
+        ordered = [views[i] for i in order]
+        return _shape(ordered, contours[reference], tracks, _fit_circles(ordered, sequence, tracks, order))
 
 
 def _all_contours(

@@ -4,13 +4,11 @@ Contour k owns the parameter interval breaks[k] .. breaks[k + 1] (arc length in 
 at the breaks decouple the contours, so that fitting and evaluating them all is one banded problem.
 """
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.sparse import csr_array
 
 from extremal.estimator.camera import Array
 
@@ -52,22 +50,23 @@ def arc_length(positions: Array, chain: np.ndarray) -> tuple[Array, Array]:
     return u, np.concatenate([u[start] - 0.5, [u[-1] + 0.5]])
 
 
-def knots(u: Array, contour: np.ndarray, breaks: Array, spacing: Array, most: np.ndarray) -> Array:
-    """Knot vector with locally `spacing` (n,) [px] between knots, given at u (n,), at most `most` (C,) intervals each."""
-    pieces = [np.repeat(breaks[0], DEGREE + 1)]
-    edge = np.searchsorted(contour, np.arange(len(breaks)))
-    for k, (start, end) in enumerate(itertools.pairwise(breaks)):
-        at = u[edge[k] : edge[k + 1]]
-        middle = np.concatenate([[start], 0.5 * (at[:-1] + at[1:]), [end]])
-        width = np.diff(middle)
-        width = np.minimum(
-            width, 1.5 * np.median(width)
-        )  # a gap in the data takes no more knots than one datum
-        total = np.concatenate([[0.0], np.cumsum(width / spacing[edge[k] : edge[k + 1]])])
-        intervals = int(max(1, min(round(total[-1]), most[k])))
-        inner = np.interp(np.linspace(0, total[-1], intervals + 1)[1:-1], total, middle)
-        pieces += [inner, np.repeat(end, DEGREE + 1)]
-    return np.concatenate(pieces)
+def knots(
+    u: Array, contour: np.ndarray, breaks: Array, spacing: Array, most: np.ndarray, widest: float
+) -> Array:
+    """Knot vector with locally `spacing` (n,) [px] between knots, given at u (n,), at most `most` (C,) intervals each.
+
+    A gap in the data counts for `widest` [px], so that it takes no more knots than a datum.
+    """
+    first = np.searchsorted(contour, np.arange(len(breaks)))
+    edges = np.concatenate([u[:1], 0.5 * (u[:-1] + u[1:]), breaks[-1:]])
+    edges[first] = breaks
+    total = np.concatenate([[0.0], np.cumsum(np.minimum(np.diff(edges), widest) / spacing)])
+    ends = total[first]
+    intervals = np.clip(np.rint(np.diff(ends)).astype(int), 1, np.maximum(most, 1))
+    owner = np.repeat(np.arange(len(intervals)), intervals - 1)
+    step = np.arange(len(owner)) - np.repeat(np.cumsum(intervals - 1) - (intervals - 1), intervals - 1) + 1
+    inner = np.interp(ends[owner] + step / intervals[owner] * np.diff(ends)[owner], total, edges)
+    return np.sort(np.concatenate([inner, np.repeat(breaks, DEGREE + 1)]))
 
 
 def fit(
@@ -77,31 +76,47 @@ def fit(
 
     weights (n,) are 1 / sigma across the contour. A trace of smoothness decides where the data leave a coefficient open.
     """
+    count = len(t) - DEGREE - 1
+    values, column = _basis(u, t)
+    weighted = values * weights[:, None] ** 2
+    banded = np.zeros((DEGREE + 1, count))
+    right = np.zeros((count, 2))
+    for i in range(DEGREE + 1):
+        for j in range(
+            i, DEGREE + 1
+        ):  # row DEGREE + i - j of LAPACK's upper form holds entry (column i, column j)
+            banded[DEGREE + i - j] += np.bincount(column + j, weighted[:, i] * values[:, j], count)
+        for k in range(2):
+            right[:, k] += np.bincount(column + i, weighted[:, i] * positions[:, k], count)
+    banded += 1e-7 * banded[DEGREE].max() * _bending(t, breaks)
+    factor = (cholesky_banded(banded, check_finite=False), False)
+    curve = BSpline(t, cho_solve_banded(factor, right, check_finite=False), DEGREE)
+    values, column = _basis(at, t)
+    wanted = np.zeros((count, len(at)))
+    rows = column[:, None] + np.arange(DEGREE + 1)
+    wanted[rows, np.arange(len(at))[:, None]] = values
+    solved = cho_solve_banded(factor, wanted, check_finite=False)
+    return Splines(curve, breaks), np.sum(values * solved[rows, np.arange(len(at))[:, None]], axis=1)
+
+
+def _basis(u: Array, t: Array) -> tuple[Array, np.ndarray]:
+    """The DEGREE + 1 basis functions (n, DEGREE + 1) that differ from zero at u (n,), and the first's index (n,)."""
     design = BSpline.design_matrix(u, t, DEGREE)
-    weighted = design.multiply(weights[:, None] ** 2).tocsr()
-    normal = (weighted.T @ design).tocsr()
-    normal = normal + 1e-7 * normal.diagonal().max() * _bending(t, breaks)
-    banded = np.stack([np.concatenate([np.zeros(k), normal.diagonal(k)]) for k in range(DEGREE, -1, -1)])
-    factor = (cholesky_banded(banded), False)
-    curve = BSpline(t, cho_solve_banded(factor, weighted.T @ positions), DEGREE)
-    wanted = BSpline.design_matrix(at, t, DEGREE).tocsr()
-    solved = cho_solve_banded(factor, wanted.T.toarray())
-    return Splines(curve, breaks), np.asarray(wanted.multiply(solved.T).sum(axis=1)).ravel()
+    return design.data.reshape(len(u), DEGREE + 1), design.indices.reshape(len(u), DEGREE + 1)[:, 0].astype(
+        np.intp
+    )
 
 
-def _bending(t: Array, breaks: Array) -> csr_array:
-    """Sum of squared second differences of the coefficients of each contour, as a matrix."""
+def _bending(t: Array, breaks: Array) -> Array:
+    """Sum of squared second differences of the coefficients of each contour, in LAPACK's upper banded form."""
     count = len(t) - DEGREE - 1
     own = np.searchsorted(
         breaks, 0.5 * (t[:count] + t[DEGREE + 1 :])
     )  # the contour on which each one's support lies
-    rows = np.arange(count - 2)
-    same = own[:-2] == own[2:]
-    difference = csr_array(
-        (
-            np.outer(same, [1.0, -2.0, 1.0]).ravel(),
-            (np.repeat(rows, 3), (rows[:, None] + np.arange(3)).ravel()),
-        ),
-        shape=(count - 2, count),
-    )
-    return difference.T @ difference
+    same = (own[:-2] == own[2:]).astype(float)
+    banded = np.zeros((DEGREE + 1, count))
+    stencil = (1.0, -2.0, 1.0)
+    for i in range(3):
+        for j in range(i, 3):
+            banded[DEGREE + i - j, j : j + count - 2] += same * stencil[i] * stencil[j]
+    return banded

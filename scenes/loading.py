@@ -15,8 +15,10 @@ from extremal.scenes.box import Box
 from extremal.scenes.curves import Appearance
 from extremal.scenes.lathe import Lathe
 from extremal.scenes.markings import MOST_MARKINGS, BoxPatch, LathePatch
+from extremal.scenes.mesh import Mesh
 from extremal.scenes.quadrics import Ellipsoid, Sphere
 from extremal.scenes.scene import Background, Light, Scene
+from extremal.scenes.superquadric import Superquadric
 from extremal.scenes.surface import Surface
 
 LARGEST_FILE = 2_000_000  # bytes
@@ -226,9 +228,21 @@ def _lengths(shape: Callable[..., Surface], *keys: str) -> Callable[[_Table, dic
     return lambda table, common, folder: shape(*(table.take(key, _number) for key in keys), **common)
 
 
+def _mesh(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
+    relative = table.take("file", _text)
+    path = (folder / relative).resolve()
+    if Path(relative).is_absolute() or not path.is_relative_to(folder):
+        raise SceneError(
+            f"{table.where}.file is {relative!r}; accepted: a path within the scene file's folder"
+        )
+    return Mesh.from_file(path, scale=table.take("scale", _number, 1.0), **common)
+
+
 _READERS: dict[str, Callable[[_Table, dict[str, Any], Path], Surface]] = {
     "lathe": _lathe,
     "box": _box,
     "sphere": _lengths(Sphere, "radius"),
     "ellipsoid": _lengths(Ellipsoid, "a", "b", "c"),
+    "superquadric": _lengths(Superquadric, "a", "b", "c", "e1", "e2"),
+    "mesh": _mesh,
 }

@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Array, SurfaceCurve
+from extremal.scenes.matching import Truth, match
 from extremal.scenes.surface import Surface
 from extremal.scenes.visibility import visible_edges
 
@@ -116,6 +117,32 @@ class Scene:
         `visible` is false where the curve's own object or another one hides it.
         """
         return visible_edges(self.objects, checked_centre(centre))
+
+    def truth(
+        self,
+        centre: ArrayLike,
+        rays: ArrayLike,
+        tangent_planes: ArrayLike,
+        epipolar_normals: ArrayLike,
+        tolerance: float = 0.004,
+    ) -> Truth:
+        """What is true of image points tracked by a camera at `centre`.
+
+        A point belongs to the visible true edge that is nearest, perpendicular to the edge, within `tolerance`,
+        and whose orientation agrees within 25 degrees. Its truth is the point of that curve in its epipolar
+        plane (by Newton on the surface for extremal boundaries); where the edge runs along that plane, the
+        nearest point of the curve.
+
+        Args:
+            centre: (3,) camera centre, world [m].
+            rays: (N, 3) world rays through the image points.
+            tangent_planes: (N, 3) normals of the planes of ray and image tangent, of either sign.
+            epipolar_normals: (N, 3) normals of the planes of ray and direction of travel, of either sign.
+            tolerance: [rad].
+        """
+        c = checked_centre(centre)
+        curves = visible_edges(self.objects, c)
+        return match(self.objects, curves, c, rays, tangent_planes, epipolar_normals, tolerance)
 
 
 def checked_centre(centre: ArrayLike) -> Array:

@@ -3,7 +3,6 @@
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import ClassVar
 
 import mujoco
 import numpy as np
@@ -37,9 +36,6 @@ class Surface(ABC):
     T_world_object: RigidTransform = field(default_factory=RigidTransform.identity)
     appearance: Appearance = field(default_factory=Appearance)
 
-    # Distance before a contour point [m] within which the ray's grazing of the surface is not occlusion.
-    grazing_margin: ClassVar[float] = 2e-4
-
     def __post_init__(self) -> None:
         if not self.name:
             object.__setattr__(self, "name", type(self).__name__.lower())
@@ -50,6 +46,11 @@ class Surface(ABC):
         if not np.all(np.abs(self.T_world_object.as_matrix()) <= 100):
             raise SceneError(f"{self.name}: position must be finite and within 100 m of the origin")
         self._check()
+
+    @property
+    def _grazing_margin(self) -> float:
+        """Distance [m] before a contour point within which the ray's grazing of the surface is no occlusion."""
+        return 2e-4
 
     # What a subclass answers, in the object frame.
 
@@ -186,9 +187,9 @@ class Surface(ABC):
             n, S = self._world_frame(p)
             ray = p - centre
             distance = np.linalg.norm(ray, axis=-1)
-            visible = np.einsum("ni,nij,nj->n", ray, S, ray) > 0
+            visible = np.einsum("ni,nij,nj->n", ray, S, ray) > -1e-9  # 0 where a superquadric is flat
             hit = self.intersect(centre, ray[visible] / distance[visible, None])
-            visible[visible] = hit >= distance[visible] - self.grazing_margin
+            visible[visible] = hit >= distance[visible] - self._grazing_margin
             curves.append(SurfaceCurve(f"{self.name}/limb{i}", self.name, "extremal", p, n, visible))
         return curves
 

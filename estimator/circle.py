@@ -18,6 +18,7 @@ motion is.
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -116,7 +117,7 @@ def osculating_circle(
     else:
         for start in starts:
             solve(start)
-    batched = {k: np.moveaxis(a, -1, 0).reshape(shape + a.shape[:-1]) for k, a in out.items()}
+    batched: dict[str, Any] = {k: np.moveaxis(a, -1, 0).reshape(shape + a.shape[:-1]) for k, a in out.items()}
     return OsculatingCircle(**(batched | {"valid": batched["valid"] > 0}))
 
 

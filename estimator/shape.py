@@ -205,7 +205,7 @@ def _position_covariance(circles: OsculatingCircle, fit: _Fit, tracks: Tracks) -
     terms = ((circles.sigma_depth, ray), (circles.sigma_across, normal), (off, plane))
     with np.errstate(invalid="ignore"):
         outer = [(s**2)[:, None, None] * d[:, :, None] * d[:, None, :] for s, d in terms]
-        return np.sum(outer, axis=0) * fit.inflation[:, None, None]
+        return np.sum(np.stack(outer), axis=0) * fit.inflation[:, None, None]
 
 
 def _gaussian_sign(tracks: Tracks, side: np.ndarray) -> np.ndarray:

@@ -184,7 +184,7 @@ def _intervals(q, height: float) -> list[tuple[float, float, bool, bool]]:
     for bound in (-1.0, 1.0):
         f = values - bound
         cuts += [
-            float(brentq(lambda x, b=bound: q(x) - b, z[i], z[i + 1], xtol=1e-15, rtol=1e-15))
+            float(brentq(lambda x, b=bound: q(x) - b, z[i], z[i + 1], xtol=1e-15))  # pyright: ignore[reportArgumentType]
             for i in np.nonzero(f[:-1] * f[1:] < 0)[0]
         ]
     cuts = [*sorted(cuts), height]

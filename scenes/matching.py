@@ -124,9 +124,14 @@ def _candidates(
 
 
 def _empty(n: int) -> Truth:
-    text = [np.full(n, "", dtype="U130") for _ in range(3)]
-    numbers = [np.full(n, np.nan) for _ in range(3)]
-    return Truth(np.zeros(n, bool), *text, np.full((n, 3), np.nan), np.full((n, 3), np.nan), *numbers)
+    def text() -> NDArray[np.str_]:
+        return np.full(n, "", dtype="U250")
+
+    def numbers(*shape: int) -> Array:
+        return np.full((n, *shape), np.nan)
+
+    matched = np.zeros(n, bool)
+    return Truth(matched, text(), text(), text(), numbers(3), numbers(3), numbers(), numbers(), numbers())
 
 
 def _fill(

@@ -1,4 +1,10 @@
-"""From exact meshes to MuJoCo bodies."""
+"""From exact meshes, lights and sky to MuJoCo's model."""
+
+# mujoco's compiled classes come without type stubs.
+# pyright: reportAttributeAccessIssue=false
+
+from collections.abc import Sequence
+from typing import TypeAlias
 
 import mujoco
 import numpy as np
@@ -6,9 +12,44 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.scenes.curves import Appearance, Piece
 
+Spec: TypeAlias = "mujoco.MjSpec"
+
+
+def empty_world(name: str, sky: Sequence[float]) -> Spec:
+    """A model with nothing but a sky of one colour: no headlight, no shadows, no floor."""
+    spec = mujoco.MjSpec()
+    spec.modelname = name
+    spec.visual.headlight.active = 0
+    spec.visual.quality.shadowsize = 0
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=sky,
+        rgb2=sky,
+        width=16,
+        height=96,
+    )
+    return spec
+
+
+def add_light(
+    spec: Spec, name: str, direction: Sequence[float], diffuse: float, ambient: float, specular: float
+) -> None:
+    """Add a white directional light that casts no shadows."""
+    spec.worldbody.add_light(
+        name=name,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        dir=np.array(direction) / np.linalg.norm(direction),
+        diffuse=[diffuse] * 3,
+        ambient=[ambient] * 3,
+        specular=[specular] * 3,
+        castshadow=False,
+    )
+
 
 def add_pieces(
-    spec: mujoco.MjSpec,
+    spec: Spec,
     name: str,
     T_world_object: RigidTransform,
     appearance: Appearance,

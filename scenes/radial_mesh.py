@@ -20,8 +20,8 @@ def radial_piece(point: Callable[[Array], Array], normal: Callable[[Array], Arra
     """
 
     def place(latitude: Array, longitude: Array) -> Array:
-        cos = np.cos(latitude)
-        return point(np.stack([cos * np.cos(longitude), cos * np.sin(longitude), np.sin(latitude)], axis=-1))
+        cos, sin = np.broadcast_arrays(np.cos(latitude), np.sin(latitude) + 0 * longitude)
+        return point(np.stack([cos * np.cos(longitude), cos * np.sin(longitude), sin], axis=-1))
 
     eps = 1e-3
     latitude = np.linspace(-np.pi / 2, np.pi / 2, 801)

@@ -2,13 +2,13 @@
 
 from dataclasses import dataclass
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Array, SurfaceCurve
 from extremal.scenes.matching import Truth, match
+from extremal.scenes.mjcf import Spec, add_light, empty_world
 from extremal.scenes.surface import Surface
 from extremal.scenes.visibility import visible_edges
 
@@ -80,33 +80,13 @@ class Scene:
 
     def __getitem__(self, name: str) -> Surface:
         """The object called `name`; KeyError if there is none."""
-        return next((s for s in self.objects if s.name == name), None) or _missing(name)
+        return {surface.name: surface for surface in self.objects}[name]
 
-    def to_spec(self) -> mujoco.MjSpec:
+    def to_spec(self) -> Spec:
         """The scene as a MuJoCo model: no shadows, no headlight, no floor plane, no camera."""
-        spec = mujoco.MjSpec()
-        spec.modelname = self.name
-        spec.visual.headlight.active = 0
-        spec.visual.quality.shadowsize = 0
-        spec.add_texture(
-            name="sky",
-            type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-            builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
-            rgb1=self.background.sky,
-            rgb2=self.background.sky,
-            width=16,
-            height=96,
-        )
+        spec = empty_world(self.name, self.background.sky)
         for i, light in enumerate(self.lights):
-            spec.worldbody.add_light(
-                name=f"light{i}",
-                type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-                dir=np.array(light.direction) / np.linalg.norm(light.direction),
-                diffuse=[light.diffuse] * 3,
-                ambient=[light.ambient] * 3,
-                specular=[light.specular] * 3,
-                castshadow=False,
-            )
+            add_light(spec, f"light{i}", light.direction, light.diffuse, light.ambient, light.specular)
         for surface in self.objects:
             surface.add_to(spec)
         return spec
@@ -151,7 +131,3 @@ def checked_centre(centre: ArrayLike) -> Array:
     if c.shape != (3,) or not np.all(np.isfinite(c)):
         raise SceneError(f"camera centre is {centre!r}; accepted: three finite numbers [m]")
     return c
-
-
-def _missing(name: str) -> Surface:
-    raise KeyError(name)

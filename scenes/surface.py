@@ -4,14 +4,13 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Appearance, Array, Piece, SurfaceCurve
-from extremal.scenes.mjcf import add_pieces
+from extremal.scenes.mjcf import Spec, add_pieces
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -233,7 +232,7 @@ class Surface(ABC):
                 break
         return self._world(p)
 
-    def add_to(self, spec: mujoco.MjSpec) -> None:
+    def add_to(self, spec: Spec) -> None:
         """Add the object to a MuJoCo model: one fixed body, one visual mesh geom a colour."""
         add_pieces(spec, self.name, self.T_world_object, self.appearance, self._pieces())
 

@@ -12,14 +12,15 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator import Camera
 from extremal.estimator.errors import RenderingError
-from extremal.scenes import Appearance, Background, Scene, Sphere
-from extremal.sim import FrameRenderer, scene_model
+from extremal.scenes import Appearance, Background, Scene, Sphere, load_scene
+from extremal.sim import FrameRenderer, fixating, scene_model
 from extremal.sim.gl import Backend, select_backend
 
 PACKAGES = ("extremal", "mujoco", "numpy", "scipy", "opencv-python-headless")
 SPHERE = Sphere(name="sphere", radius=0.1, appearance=Appearance(rgba=(0.0, 0.0, 0.0, 1.0)))
 CENTRE = np.array([0.11, -0.07, 0.8])  # of the sphere, in the camera's frame [m]
 TOLERANCE = 0.005  # [px] between the rendered silhouette and the exact one
+SPEED_SCENE = "vase-and-box"
 SPEED_SECONDS = 1.0
 
 
@@ -68,7 +69,7 @@ def _examine_rendering(table: Table) -> None:
         "silhouette of a backlit sphere",
         f"{silhouette.outwards:+.4f} px outwards of the exact one, shifted by ({shift}) px",
     )
-    table.add_row("frames per second", f"{frame_rate():.0f} at 640 x 480 in preview quality")
+    table.add_row("frames per second", f"{frame_rate():.0f} of {SPEED_SCENE} at 640 x 480 in preview quality")
     if not silhouette.good:
         raise RenderingError(
             f"{backend.name} ({backend.renderer}) draws silhouettes wrong by more than {TOLERANCE} px; "
@@ -80,21 +81,13 @@ def _failures(backend: Backend) -> str:
     return "; ".join(f"{name}: {reason}" for name, reason in backend.failed) or "nothing"
 
 
-def _renderer(quality: str) -> FrameRenderer:
-    scene = Scene((SPHERE,), lights=(), background=Background((1.0, 1.0, 1.0)))
-    return FrameRenderer(scene_model(scene.to_spec()), Camera(), quality)
-
-
-def _pose() -> RigidTransform:
-    """A camera with the sphere, which stands in the world's origin, at CENTRE of its frame."""
-    return RigidTransform.from_translation(-CENTRE)
-
-
 def examine_silhouette() -> Silhouette:
     """Compare area and centroid of the rendered silhouette, which blur conserves, with the exact ellipse."""
     camera = Camera()
-    with _renderer("standard") as renderer:
-        darkness = 1 - renderer.render(_pose()).astype(float) / 255
+    scene = Scene((SPHERE,), lights=(), background=Background((1.0, 1.0, 1.0)))
+    pose = RigidTransform.from_translation(-CENTRE)  # the sphere stands in the world's origin
+    with FrameRenderer(scene_model(scene.to_spec()), camera, "standard") as renderer:
+        darkness = 1 - renderer.render(pose).astype(float) / 255
     area, centre, perimeter = exact_silhouette(camera, CENTRE, SPHERE.radius)
     rows, columns = np.mgrid[: camera.height, : camera.width]
     measured = darkness.sum()
@@ -118,11 +111,13 @@ def exact_silhouette(camera: Camera, centre: np.ndarray, radius: float) -> tuple
 
 
 def frame_rate() -> float:
-    """Frames per second of one process in preview quality."""
-    with _renderer("preview") as renderer:
-        renderer.render(_pose())
+    """Frames per second of the default scene, by one process in preview quality."""
+    scene = load_scene(SPEED_SCENE)
+    pose = fixating(np.array([[-0.6, 0.0, scene.target[2]]]), scene.target)[0]
+    with FrameRenderer(scene_model(scene.to_spec()), Camera(), "preview") as renderer:
+        renderer.render(pose)
         frames, started = 0, time.perf_counter()
         while time.perf_counter() - started < SPEED_SECONDS:
-            renderer.render(_pose())
+            renderer.render(pose)
             frames += 1
         return frames / (time.perf_counter() - started)

@@ -139,13 +139,13 @@ def _profiles(grey: np.ndarray, position: Array, normal: Array) -> Array:
 
 
 def _runs(good: np.ndarray, contour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Edgels to keep (n,), and the contours (k,) of those: broken at gaps of LONGEST_GAP, none of fewer than four."""
+    """Edgels to keep (n,), and the contours (k,) of those: broken at gaps of LONGEST_GAP, none of fewer than two."""
     index = np.flatnonzero(good)
     if len(index) == 0:
         return good, contour[index]
     new = (np.diff(index) > LONGEST_GAP) | (np.diff(contour[index]) != 0)
     run = np.concatenate([[0], np.cumsum(new)])
-    enough = np.bincount(run)[run] >= DEGREE + 1
+    enough = np.bincount(run)[run] >= 2
     keep = np.zeros_like(good)
     keep[index[enough]] = True
     return keep, np.unique(run[enough], return_inverse=True)[1]

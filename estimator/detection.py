@@ -11,7 +11,7 @@ SMOOTHING = 1.0  # [px] Gaussian before differentiation
 GAIN = 8.0  # Sobel response to a slope of one grey level per pixel
 CORNER = np.deg2rad(30.0)  # turn over 2 * CORNER_REACH px at which a chain is broken
 CORNER_REACH = 5
-SHORTEST = 20  # [px]
+SHORTEST = 12  # [px]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +38,7 @@ def detect_chains(grey: np.ndarray, noise: float) -> Chains:
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     gradient_noise = GAIN * noise * 0.2  # of the Sobel response after smoothing
     scale = 16.0  # Canny wants 16-bit integers: keep fractions
-    low, high = 3.5 * gradient_noise + 3.0, 7.0 * gradient_noise + 8.0
+    low, high = 3.0 * gradient_noise + 1.0, 5.5 * gradient_noise + 2.0
     edges = cv2.Canny(
         np.clip(dx * scale, -32000, 32000).astype(np.int16),
         np.clip(dy * scale, -32000, 32000).astype(np.int16),

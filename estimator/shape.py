@@ -18,6 +18,7 @@ from extremal.estimator.uncertainty import pose_angle_sigma, pose_gradient, rela
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
 LEAST_VIEWS = 3
 POOLED = 3  # neighbours on each side along the contour that share their misfit
+LASTING = 0.8  # of the views, the first and the last among them, make a track that lasts the whole sequence
 SHADED = 0.5  # evidence of a limb from which a point is no reference for parallax
 OUTLIER = 4.0  # standard deviations of a ray's residual beyond which its view is dropped
 
@@ -39,7 +40,8 @@ class Shape:
         side: (n,) sign of R where extremal, else 0: +1 where the surface lies behind as the camera travels on (its
             outward normal points to the travel), -1 where it lies ahead.
         gaussian_sign: (n,) sign of the Gaussian curvature where extremal, else 0.
-        views: (n,) number of views in which the point was seen; complete: (n,) whether that is all.
+        views: (n,) number of views in which the point was seen; complete: (n,) whether its track lasts the whole
+            sequence: from the first view to the last, but for short occlusions.
         limb: (n,) mean photometric evidence of a limb.
         tangents: (n, 2) unit tangents [px] of the image contour, the surface to their right where extremal.
     """
@@ -176,10 +178,14 @@ def _shape(views: list[View], contours: Contours, tracks: Tracks, fit: _Fit) -> 
         side=side[chosen],
         gaussian_sign=_gaussian_sign(tracks, side)[chosen],
         views=fit.seen.sum(axis=1)[chosen],
-        complete=fit.seen.all(axis=1)[chosen],
+        complete=_lasting(tracks.seen)[chosen],
         limb=limb[chosen],
         tangents=(tracks.tangents * np.where(side * tracks.ahead < 0, -1.0, 1.0)[:, None])[chosen],
     )
+
+
+def _lasting(seen: np.ndarray) -> np.ndarray:
+    return seen[:, 0] & seen[:, -1] & (seen.mean(axis=1) >= LASTING)
 
 
 def _nearest_reference(

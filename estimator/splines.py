@@ -82,9 +82,7 @@ def fit(
     banded = np.zeros((DEGREE + 1, count))
     right = np.zeros((count, 2))
     for i in range(DEGREE + 1):
-        for j in range(
-            i, DEGREE + 1
-        ):  # row DEGREE + i - j of LAPACK's upper form holds entry (column i, column j)
+        for j in range(i, DEGREE + 1):  # LAPACK's upper form: row DEGREE + i - j holds entry (i, j)
             banded[DEGREE + i - j] += np.bincount(column + j, weighted[:, i] * values[:, j], count)
         for k in range(2):
             right[:, k] += np.bincount(column + i, weighted[:, i] * positions[:, k], count)
@@ -102,17 +100,15 @@ def fit(
 def _basis(u: Array, t: Array) -> tuple[Array, np.ndarray]:
     """The DEGREE + 1 basis functions (n, DEGREE + 1) that differ from zero at u (n,), and the first's index (n,)."""
     design = BSpline.design_matrix(u, t, DEGREE)
-    return design.data.reshape(len(u), DEGREE + 1), design.indices.reshape(len(u), DEGREE + 1)[:, 0].astype(
-        np.intp
-    )
+    values: Array = np.asarray(design.data, float).reshape(len(u), DEGREE + 1)
+    return values, np.asarray(design.indices, np.intp).reshape(len(u), DEGREE + 1)[:, 0]
 
 
 def _bending(t: Array, breaks: Array) -> Array:
     """Sum of squared second differences of the coefficients of each contour, in LAPACK's upper banded form."""
     count = len(t) - DEGREE - 1
-    own = np.searchsorted(
-        breaks, 0.5 * (t[:count] + t[DEGREE + 1 :])
-    )  # the contour on which each one's support lies
+    middle = 0.5 * (t[:count] + t[DEGREE + 1 :])
+    own = np.searchsorted(breaks, middle)  # the contour on which each one's support lies
     same = (own[:-2] == own[2:]).astype(float)
     banded = np.zeros((DEGREE + 1, count))
     stencil = (1.0, -2.0, 1.0)

@@ -21,7 +21,9 @@ SWEEP_VIEWS = 4
 SWEEP_WIDTH = 1.2  # [px] how near to a contour counts in the sweep
 REACH = 4  # [px] radius in which an edgel is looked for
 SUPPORT = 7  # edgels along the contour that vote together in the sweep
-PARALLEL = 0.08  # sine of the least angle between contour and epipolar line
+PARALLEL = (
+    0.08  # sine of the angle to its epipolar line below which a contour is followed but not matched along it
+)
 ALIKE = np.cos(np.deg2rad(30.0))  # directions of a contour that may match
 RADIUS_PRIOR = 0.06  # [m] standard deviation of R before anything is seen
 GATE = 4.0  # standard deviations
@@ -95,9 +97,11 @@ class EdgelMap:
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Crossings (n) of contours with epipolar planes; their pixels, rays, in-plane sigma [rad], limb, curvature."""
+    """Crossings (n) of contours with epipolar planes: pixels, directions (n, 3) in the world to their brighter sides,
+    rays, in-plane sigma [rad], limb, curvature."""
 
     found: np.ndarray
+    directions: Array
     pixels: Array
     rays: Array
     sigma: Array
@@ -114,12 +118,15 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
         sequence, reference, edgels.positions, edgels.normals, rays, planes, edgels.sigma
     )
     depth, found = _sweep(sequence, contours, maps, reference, rays)
-    chosen = np.flatnonzero((np.abs(tilt) > PARALLEL) & found)
-    planes, rays, sigma, depth = planes.take(chosen), rays[chosen], sigma[chosen], depth[chosen]
+    chosen = np.flatnonzero(found & np.isfinite(planes.normal[:, 0]))
+    planes, rays, depth = planes.take(chosen), rays[chosen], depth[chosen]
+    loose = np.abs(tilt[chosen]) < PARALLEL
+    sigma = np.where(loose, _loose_sigma(sequence, reference), sigma[chosen])
     direction = edgels.normals[chosen] @ sequence.rotations[reference][:, :2].T
     columns = [
         Crossings(
             np.ones(len(chosen), bool),
+            direction,
             edgels.positions[chosen],
             rays,
             sigma,
@@ -128,13 +135,19 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
         )
     ]
     order = [reference, *sequence.neighbours(reference)]
+    latest = {
+        True: direction,
+        False: direction,
+    }  # a contour turns in the image as the camera travels to either side
     state = CircleFilter(planes, rays, depth, sigma)
     for view in order[1:]:
         points, spread = state.predict(sequence.centres[view])
-        crossing = _cross(sequence, contours[view], maps[view], view, planes, points, direction)
+        ahead = bool((sequence.centres[view] - sequence.centres[reference]) @ sequence.travel > 0)
+        crossing = _cross(sequence, contours[view], maps[view], view, planes, points, latest[ahead], loose)
         gate = LEAST_GATE / sequence.cameras[view].fx + GATE * np.hypot(spread, crossing.sigma)
         ok = crossing.found & (np.abs(state.innovation(sequence.centres[view], points, crossing.rays)) < gate)
         state.update(ok, sequence.centres[view], crossing.rays, crossing.sigma, points)
+        latest[ahead] = np.where(ok[:, None], crossing.directions, latest[ahead])
         columns.append(_where_seen(ok, crossing, sequence, view, points))
     back = np.argsort(order)
     stacked = {
@@ -156,6 +169,11 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
     )
 
 
+def _loose_sigma(sequence: Sequence3D, view: int) -> float:
+    """Standard deviation [rad] along the epipolar line of a point that may lie anywhere near its prediction."""
+    return REACH / sequence.cameras[view].fx
+
+
 def _where_seen(
     ok: np.ndarray, crossing: "Crossings", sequence: Sequence3D, view: int, points: Array
 ) -> "Crossings":
@@ -164,6 +182,7 @@ def _where_seen(
     expected /= np.linalg.norm(expected, axis=1, keepdims=True)
     return Crossings(
         ok,
+        crossing.directions,
         np.where(ok[:, None], crossing.pixels, sequence.project(view, points)),
         np.where(ok[:, None], crossing.rays, expected),
         np.where(ok, crossing.sigma, np.inf),
@@ -306,11 +325,13 @@ def _cross(
     planes: EpipolarPlanes,
     points: Array,
     direction: Array,
+    loose: np.ndarray,
 ) -> Crossings:
     """Where contours of a view near the predicted contact points cross the epipolar planes (Newton along the spline).
 
     For a centre off the plane, the crossing is that of the contact point, taken at the predicted distance: exact to
-    first order for any motion, and the epipolar match itself for linear motion.
+    first order for any motion, and the epipolar match itself for linear motion. Where a contour runs along the epipolar
+    lines (`loose`), its nearest point stands in, with a sigma that says so.
     """
     predicted = sequence.project(view, points)
     index = edgels.lookup(predicted)
@@ -318,7 +339,8 @@ def _cross(
     if len(contours.u) == 0 or not found.any():
         n = len(points)
         nothing = np.zeros(n)
-        return Crossings(nothing > 0, np.zeros((n, 2)), np.ones((n, 3)), nothing + np.inf, nothing, nothing)
+        blank = np.zeros((n, 3))
+        return Crossings(nothing > 0, blank, blank[:, :2], blank + 1.0, nothing + np.inf, nothing, nothing)
     index = np.maximum(index, 0)
     contour = contours.contour[index]
     centre, distance = sequence.centres[view], np.linalg.norm(points - sequence.centres[view], axis=1)
@@ -332,14 +354,18 @@ def _cross(
         error = height + distance * np.einsum("nk,nk->n", planes.normal, here)
         slope = distance * np.einsum("nk,nk->n", planes.normal, there - here)
         step = -error / np.where(np.abs(slope) > 1e-9, slope, 1e-9)
-        u = contours.splines.clamp(u + np.clip(step, -8.0, 8.0), contour)
+        u = contours.splines.clamp(u + np.where(loose, 0.0, np.clip(step, -8.0, 8.0)), contour)
     position, _, normal, curvature = contours.splines.frame(u)
     rays = sequence.rays(view, position)
     error = height + distance * np.einsum("nk,nk->n", planes.normal, rays)
-    _, tilt, sigma = in_plane_sigma(sequence, view, position, normal, rays, planes, contours.sigma_at(u))
+    _, _, sigma = in_plane_sigma(sequence, view, position, normal, rays, planes, contours.sigma_at(u))
     wanted = direction @ sequence.rotations[view][:, :2]
-    found &= np.abs(error) < 0.05 * distance / sequence.cameras[view].fx
+    found &= loose | (np.abs(error) < 0.05 * distance / sequence.cameras[view].fx)
     found &= np.sum(wanted * normal, axis=1) > ALIKE * np.linalg.norm(wanted, axis=1)
-    found &= (np.abs(tilt) > 0.7 * PARALLEL) & (np.abs(u - start) < 4 * REACH)
+    found &= np.abs(u - start) < 4 * REACH
+    sigma = np.where(loose, _loose_sigma(sequence, view), sigma)
     nearest = np.clip(np.searchsorted(contours.u, u), 0, len(contours.u) - 1)
-    return Crossings(found, position, rays, np.where(found, sigma, np.inf), contours.limb[nearest], curvature)
+    directions = normal @ sequence.rotations[view][:, :2].T
+    return Crossings(
+        found, directions, position, rays, np.where(found, sigma, np.inf), contours.limb[nearest], curvature
+    )

@@ -9,7 +9,7 @@ import numpy as np
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Array, Kind, Piece, SurfaceCurve, arc_samples, check_length
-from extremal.scenes.grids import grid_triangles, used_only
+from extremal.scenes.grids import distinct, grid_triangles, used_only
 from extremal.scenes.markings import FACES, BoxPatch, Face, check_markings
 from extremal.scenes.surface import Surface
 
@@ -124,7 +124,7 @@ class Box(Surface):
         for k, i in enumerate((u, v)):
             cuts = [m.centre[k] + s * m.size[k] / 2 for m in markings for s in (-1, 1)]
             lines.append(
-                np.unique(np.clip([-self._half[i], self._half[i], *cuts], -self._half[i], self._half[i]))
+                distinct(np.clip([-self._half[i], self._half[i], *cuts], -self._half[i], self._half[i]))
             )
         x, y = np.meshgrid(*lines)
         vertices = np.zeros((x.size, 3))

@@ -44,11 +44,18 @@ def azimuths(bounds: Array, columns: int = COLUMNS) -> Array:
     """
     spacing = 2 * np.pi / columns
     regular = np.arange(columns) * spacing
-    bounds = np.unique(np.mod(bounds, 2 * np.pi))
+    bounds = distinct(np.mod(bounds, 2 * np.pi))
+    bounds = bounds[bounds < 2 * np.pi - 1e-9] if len(bounds) and bounds[0] < 1e-9 else bounds
     if len(bounds):
         gap = np.abs(np.mod(regular[:, None] - bounds + np.pi, 2 * np.pi) - np.pi).min(axis=1)
         regular = regular[gap > spacing / 10]
     return np.sort(np.concatenate([regular, bounds]))
+
+
+def distinct(values: Array) -> Array:
+    """The values (N,) in order, without those within 1e-9 of the one before (rounding of equal bounds)."""
+    values = np.sort(values)
+    return values[np.diff(values, prepend=-np.inf) > 1e-9]
 
 
 def grid_triangles(cells: NDArray[np.bool_], wrap: bool) -> NDArray[np.integer]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from extremal.scenes.curves import Array, Colour, Piece
-from extremal.scenes.grids import adaptive_grid, azimuths, grid_triangles, used_only
+from extremal.scenes.grids import adaptive_grid, azimuths, distinct, grid_triangles, used_only
 from extremal.scenes.markings import LathePatch
 from extremal.scenes.profile import Profile
 
@@ -48,7 +48,7 @@ def _rows(profile: Profile, bounds: Array) -> Array:
     samples = np.linspace(0, profile.height, 4001)
     _, r1, r2 = profile.derivatives(samples)
     bending = np.abs(r2) / np.sqrt(1 + r1 * r1)
-    return adaptive_grid(samples, bending, np.unique(np.concatenate([[0, profile.height], bounds])))
+    return adaptive_grid(samples, bending, distinct(np.concatenate([[0, profile.height], bounds])))
 
 
 def _cap(ring: Array, up: int, rgba: Colour) -> Piece:

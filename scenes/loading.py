@@ -108,7 +108,7 @@ class _Table:
 
 def _number(value: Any, where: str) -> float:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not math.isfinite(value) or abs(value) > LARGEST_NUMBER:
+    if not is_number or not abs(value) <= LARGEST_NUMBER:  # NaN compares false
         raise SceneError(f"{where} is {value!r:.60}; accepted: a number within +-{LARGEST_NUMBER:g}")
     return float(value)
 

@@ -146,30 +146,38 @@ def _fill(
 ) -> None:
     """Write the truth of the points `rows` that lie on one curve, refined into their epipolar planes."""
     planes = _image(curve, centre)[1][sample]
-    parallel = np.abs(np.sum(planes * epipolar, axis=1)) > PARALLEL
+    across = np.cross(planes, rays)
     # Where the edge runs along the epipolar plane: the nearest point, in the plane across the edge.
-    cut = np.where(parallel[:, None], np.cross(planes, rays), epipolar)
-    cut /= np.linalg.norm(cut, axis=1, keepdims=True)
-    point, at = _crossing(curve, centre, cut, sample)
+    parallel = np.abs(np.sum(planes * epipolar, axis=1)) > PARALLEL
+    cut = np.where(parallel[:, None], across, epipolar)
+    point, segment = _met(surface, curve, centre, cut, sample)
+    foot, _ = _met(surface, curve, centre, across, sample)
+    if curve.kind == "extremal":
+        normal = surface.normals(point)
+        truth.radius[rows] = np.abs(surface.section_radius(point, epipolar))
+        truth.gaussian_curvature[rows] = surface.gaussian_curvature(point)
+    else:
+        normal = _facing_normals(curve, centre, point, segment)
+        truth.radius[rows] = 0.0
+    truth.matched[rows] = True
+    truth.kind[rows], truth.object[rows], truth.curve[rows] = curve.kind, curve.object, curve.name
+    truth.point[rows], truth.normal[rows] = point, normal
+    sine = np.linalg.norm(np.cross(foot - centre, rays), axis=1)
+    truth.distance[rows] = np.arctan2(sine, np.sum((foot - centre) * rays, axis=1))
+
+
+def _met(
+    surface: Surface, curve: SurfaceCurve, centre: Array, cut: Array, sample: NDArray[np.integer]
+) -> tuple[Array, NDArray[np.integer]]:
+    """Points (N, 3) of a true curve in planes through the centre, near given samples, and their segments."""
+    cut = cut / np.linalg.norm(cut, axis=1, keepdims=True)
+    point, segment = _crossing(curve, centre, cut, sample)
     if curve.kind == "extremal":
         exact = surface.contour_points_in_planes(point, centre, cut)
         # Newton may leave for another branch where the curve ends in a cusp: stay with the polyline there.
         stays = np.linalg.norm(exact - point, axis=1) < 2e-3
         point = np.where(stays[:, None], exact, point)
-        normal = surface.normals(point)
-        tangent_plane = normal
-        truth.radius[rows] = np.abs(surface.section_radius(point, epipolar))
-        truth.gaussian_curvature[rows] = surface.gaussian_curvature(point)
-    else:
-        normal = _facing_normals(curve, centre, point, at)
-        ahead = np.minimum(at + 1, len(curve.points) - 1)
-        tangent_plane = np.cross(curve.points[ahead - 1] - centre, curve.points[ahead] - centre)
-        tangent_plane /= np.linalg.norm(tangent_plane, axis=1, keepdims=True)
-        truth.radius[rows] = 0.0
-    truth.matched[rows] = True
-    truth.kind[rows], truth.object[rows], truth.curve[rows] = curve.kind, curve.object, curve.name
-    truth.point[rows], truth.normal[rows] = point, normal
-    truth.distance[rows] = np.arcsin(np.minimum(np.abs(np.sum(tangent_plane * rays, axis=1)), 1))
+    return point, segment
 
 
 def _crossing(

@@ -24,8 +24,8 @@ def radial_piece(point: Callable[[Array], Array], normal: Callable[[Array], Arra
         return point(np.stack([cos * np.cos(longitude), cos * np.sin(longitude), sin], axis=-1))
 
     eps = 1e-3
-    latitude = np.linspace(-np.pi / 2, np.pi / 2, 801)
-    longitude = np.linspace(0, 2 * np.pi, 1601)
+    latitude = np.linspace(-np.pi / 2, np.pi / 2, 301)
+    longitude = np.linspace(0, 2 * np.pi, 601)
     p = place(latitude[:, None], longitude)
     n = normal(p)
     across = place(latitude[:, None] + eps, longitude) + place(latitude[:, None] - eps, longitude) - 2 * p

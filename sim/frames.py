@@ -20,10 +20,11 @@ from extremal.sim.rendering import FrameRenderer
 
 Progress = Callable[[int, int], None]
 
-# Measured on two cores with llvmpipe: what one process takes for a vertex and for a rendered pixel [s], and what a
-# further process takes before its first frame [s].
-VERTEX_SECONDS, PIXEL_SECONDS = 2.5e-7, 3e-8
-START_SECONDS = 2.0
+# Measured on two cores with llvmpipe: what one process takes for a vertex and for a rendered pixel [s], what further
+# processes take before their first frames [s], and the share of their cores that they turn into speed: one
+# process alone already uses several for rasterising.
+VERTEX_SECONDS, PIXEL_SECONDS = 2.5e-7, 2.5e-8
+START_SECONDS, EFFICIENCY = 4.0, 0.75
 
 _renderer: list[FrameRenderer] = []
 
@@ -64,10 +65,10 @@ def _quickest(model: mujoco.MjModel, camera: Camera, quality: Quality, count: in
     if current_process().daemon:
         return 1  # must not have children
     pixels = camera.width * camera.height * quality.supersampling**2
-    vertices = 3 * model.nmeshface / 2
+    vertices = int(model.nmeshvert)
     serial = count * quality.passes * (VERTEX_SECONDS * vertices + PIXEL_SECONDS * pixels)
     cores = min(len(os.sched_getaffinity(0)), count, 8)
-    return cores if cores > 1 and serial / cores + START_SECONDS < 0.9 * serial else 1
+    return cores if serial / (EFFICIENCY * cores) + START_SECONDS < 0.9 * serial else 1
 
 
 def _render_here(

@@ -1,5 +1,6 @@
 """Forward and inverse kinematics of the arm: camera poses from joint positions and back."""
 
+from itertools import pairwise
 from typing import NoReturn
 
 import mink
@@ -80,7 +81,7 @@ class ArmKinematics:
         q = np.empty((count, 6))
         q[middle] = self._solve(HOME, T_world_camera[middle])
         for order in (range(middle, count), range(middle, -1, -1)):
-            for a, b in zip(order[:-1], order[1:], strict=True):
+            for a, b in pairwise(order):
                 q[b] = self._follow(q[a], T_world_camera[a], T_world_camera[b])
         return q
 

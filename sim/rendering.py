@@ -20,8 +20,6 @@ EYE = "eye"
 SAMPLES = 4  # of MSAA; llvmpipe offers no more
 NEAR = 0.02  # nearest distance that is drawn [m]
 MAX_BUFFER = 16384  # longest side of a rendered frame [px]
-# llvmpipe rounds vertices down to 1/256 px, so that on average everything stands 1/512 rendered px left and up.
-SNAP = 1 / 512
 
 
 def scene_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
@@ -77,8 +75,8 @@ class FrameRenderer:
         eye = model.camera(EYE).id
         model.cam_resolution[eye] = model.cam_sensorsize[eye] = width, height  # lengths in rendered pixels
         try:
-            self._gl = mujoco.GLContext(64, 64)
-            self._gl.make_current()
+            self._gl = gl = mujoco.GLContext(64, 64)
+            gl.make_current()
             self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_50))
         except Exception as error:
             self.close()
@@ -133,11 +131,11 @@ class FrameRenderer:
             total = self._window.distort(total)
         # Sparse products: the same bytes on every machine and with any number of threads.
         frame = (self._columns @ np.ascontiguousarray((self._rows @ total).T)).T
-        return np.ascontiguousarray(frame / np.float32(3 * self.quality.passes))
+        return np.ascontiguousarray(frame / (3 * self.quality.passes), np.float32)
 
     def _draw(self, offset: NDArray[np.floating]) -> None:
         """Render one pass into `self._pixels`, bottom row first; `offset` (2,) shifts the image [rendered px]."""
-        (fx, fy), (cx, cy) = self._window.focal, self._window.principal + offset + SNAP
+        (fx, fy), (cx, cy) = self._window.focal, self._window.principal + offset
         height, width = self._window.shape
         # MuJoCo's principal point: both coordinates measured from the centre, against the image axes.
         self._model.cam_intrinsic[self._view.fixedcamid] = fx, fy, width / 2 - cx, height / 2 - cy

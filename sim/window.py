@@ -39,7 +39,7 @@ class Window:
         m = psf_margin(camera.blur)
         if not camera.is_distorted:
             return cls(camera, scale, -m, -m, camera.width + 2 * m, camera.height + 2 * m)
-        x, y = np.arange(-m - 1, camera.width + m + 1), np.arange(-m - 1, camera.height + m + 1)
+        x, y = np.arange(-m - 1.0, camera.width + m + 1), np.arange(-m - 1.0, camera.height + m + 1)
         border = np.concatenate(
             [_grid(x, y[[0, -1]]).reshape(-1, 2), _grid(x[[0, -1]], y).reshape(-1, 2)]
         )  # for a one-to-one distortion, the image of the border bounds the image of the inside
@@ -86,7 +86,7 @@ class Window:
 
 
 def _grid(x: Array, y: Array) -> Array:
-    return np.stack(np.meshgrid(x, y), axis=-1).astype(float)
+    return np.stack(np.meshgrid(x, y), axis=-1)
 
 
 def _undistort(camera: Camera, pixels: Array) -> Array:

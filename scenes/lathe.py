@@ -1,6 +1,6 @@
 """Solids of revolution."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from extremal.estimator.errors import SceneError
-from extremal.scenes.curves import Array, Piece, SurfaceCurve, arc_samples
+from extremal.scenes.curves import Array, Kind, Piece, SurfaceCurve, arc_samples
 from extremal.scenes.lathe_mesh import lathe_pieces
 from extremal.scenes.markings import LathePatch, check_markings
 from extremal.scenes.profile import Profile
@@ -32,8 +32,8 @@ class Lathe(Surface):
         SceneError: for a profile or markings that are not acceptable.
     """
 
-    profile_z: Sequence[float]
-    profile_r: Sequence[float]
+    profile_z: Sequence[float] | Array
+    profile_r: Sequence[float] | Array
     markings: tuple[LathePatch, ...] = ()
 
     def _check(self) -> None:
@@ -117,7 +117,7 @@ class Lathe(Surface):
         return curves
 
     def _branches(
-        self, q, theta_c: float, lo: float, hi: float, low_end: bool, high_end: bool
+        self, q: Callable[[Array], Array], theta_c: float, lo: float, hi: float, low_end: bool, high_end: bool
     ) -> list[Array]:
         """The two branches over lo <= z <= hi, joined at the ends (`*_end` false) where |q| = 1."""
         count = arc_samples((hi - lo) + 4 * self.profile.largest, 4e-4)
@@ -162,7 +162,16 @@ class Lathe(Surface):
                     curves.append(self._curve("marking", f"{m.name}.{label}", m.bottom, m.top, angle, angle))
         return curves
 
-    def _curve(self, kind, label: str, z0: float, z1: float, a0: float, a1: float, cap=None) -> SurfaceCurve:
+    def _curve(
+        self,
+        kind: Kind,
+        label: str,
+        z0: float,
+        z1: float,
+        a0: float,
+        a1: float,
+        cap: tuple[float, float, float] | None = None,
+    ) -> SurfaceCurve:
         length = 2 * (z1 - z0) + (a1 - a0) * float(self.profile.spline(z0))
         count = arc_samples(length, 2e-4)
         points = self._side(np.linspace(z0, z1, count), np.linspace(a0, a1, count))
@@ -176,7 +185,7 @@ class Lathe(Surface):
         return lathe_pieces(self.profile, self.appearance.rgba, self.markings)
 
 
-def _intervals(q, height: float) -> list[tuple[float, float, bool, bool]]:
+def _intervals(q: Callable[[Array], Array], height: float) -> list[tuple[float, float, bool, bool]]:
     """Intervals (lo, hi) of [0, height] where |q| <= 1, and whether each end is an end of the profile."""
     z = np.linspace(0, height, 2001)
     values = q(z)
@@ -191,5 +200,5 @@ def _intervals(q, height: float) -> list[tuple[float, float, bool, bool]]:
     return [
         (lo, hi, lo == 0.0, hi == height)
         for lo, hi in pairwise(cuts)
-        if hi > lo and abs(q(np.float64((lo + hi) / 2))) <= 1
+        if hi > lo and abs(q(np.array((lo + hi) / 2))) <= 1
     ]

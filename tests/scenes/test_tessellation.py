@@ -65,7 +65,7 @@ def test_silhouette_and_its_three_tangent_radius_are_those_of_the_surface(surfac
             continue
         x = (q - middle) / np.linalg.norm(q - middle)
         y = np.cross(plane, x)
-        side = np.sign(y @ normal)
+        side = float(np.sign(y @ normal))
         polygon = cut(vertices, edges, middle, plane)
         # On a lathe another part of the section may reach further out than the limb in question.
         polygon = polygon[np.linalg.norm(polygon - q, axis=1) < 0.03]

@@ -3,13 +3,13 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array, Camera, View
 from extremal.estimator.errors import InvalidInput
-from extremal.scenes import Scene
 from extremal.sim.frames import render_frames
 from extremal.sim.kinematics import ArmKinematics
 from extremal.sim.motion import LinearMotion
@@ -17,6 +17,9 @@ from extremal.sim.pose_error import PoseErrors
 from extremal.sim.quality import Quality, get_quality
 from extremal.sim.rendering import NEAR, scene_model
 from extremal.sim.sensor import Sensor
+
+if TYPE_CHECKING:  # rendering processes import this package, and would pay for trimesh
+    from extremal.scenes import Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +42,7 @@ class Recording:
 
 
 def record(
-    scene: Scene,
+    scene: "Scene",
     camera: Camera,
     motion: LinearMotion,
     quality: str | Quality = "standard",
@@ -80,7 +83,7 @@ def record(
     return Recording(views, _each(commanded), _each(actual), joint_positions, render_seconds)
 
 
-def check_poses(scene: Scene, camera: Camera, T_world_camera: RigidTransform) -> None:
+def check_poses(scene: "Scene", camera: Camera, T_world_camera: RigidTransform) -> None:
     """InvalidInput where a camera does not see the scene's target or stands inside an object.
 
     Args:

@@ -91,7 +91,8 @@ def _grid(x: Array, y: Array) -> Array:
 
 def _undistort(camera: Camera, pixels: Array) -> Array:
     """Pinhole pixels (..., 2) of pixels (..., 2); InvalidInput where the distortion can't be inverted."""
-    ideal = camera.normalise(pixels)
+    with np.errstate(over="ignore", invalid="ignore"):  # where the iteration diverges
+        ideal = camera.normalise(pixels)
     if not np.max(np.abs(camera.distort(ideal) - pixels)) < 1e-6:
         raise InvalidInput(
             f"distortion {camera.distortion} can't be inverted all over the image; accepted: one-to-one distortions"

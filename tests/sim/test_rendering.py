@@ -50,19 +50,20 @@ def test_pixel_zero_is_the_centre_of_the_top_left_pixel(leaning: Scene, camera: 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_silhouette_of_the_preset(name: str) -> None:
-    edges = edges_of(load_scene(name), Camera(), "standard")
+    edges = edges_of(load_scene(name), Camera(), "metrology")
     assert len(edges.offsets) > 300
-    assert np.abs(edges.offsets).mean() < 0.005
+    assert np.abs(edges.offsets).mean() < 0.004
     assert abs(edges.offsets.mean()) < 0.002
+    assert np.abs(edges.shift).max() < 0.004
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PRESETS)
-@pytest.mark.parametrize("view", [0, 2])
-def test_silhouette_of_the_preset_in_metrology(name: str, view: int) -> None:
-    edges = edges_of(load_scene(name), Camera(), "metrology", view=view)
-    assert np.abs(edges.offsets).mean() < 0.003
-    assert np.sqrt(np.mean(edges.offsets**2)) < 0.004
+@pytest.mark.parametrize(("quality", "limit"), [("preview", 0.07), ("standard", 0.007), ("metrology", 0.004)])
+def test_silhouettes_at_both_ends_of_the_path(name: str, quality: str, limit: float) -> None:
+    for view in (0, 2):
+        edges = edges_of(load_scene(name), Camera(), quality, view=view)
+        assert np.abs(edges.offsets).mean() < limit
 
 
 def test_each_quality_samples_more_finely(leaning: Scene) -> None:
@@ -92,7 +93,9 @@ def test_psf_is_a_gaussian_with_the_pixels_box(blur: float, scale: int) -> None:
     total = np.hypot(width, blur)
     expected = np.diff(ndtr((np.arange(size + 1) - 0.5 - centre) / total))
     found = sampling_matrix(size, scale, blur) @ fine.astype(np.float32)
-    np.testing.assert_allclose(found, expected, atol=2e-4 * expected.max())
+    # A Gaussian narrower than half a rendered pixel is only right in its variance.
+    error = np.abs(found - expected).max() / expected.max()
+    assert error < (1e-3 if scale == 1 else 1e-4)
 
 
 def test_sampling_matrix_keeps_grey_levels() -> None:

@@ -9,7 +9,7 @@ from scipy.ndimage import maximum_filter1d
 
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.detection import Chains, detect_chains, noise_level
-from extremal.estimator.profile import PIXEL_VARIANCE, fit_profiles, offsets
+from extremal.estimator.profile import HALF_WIDTH, PIXEL_VARIANCE, fit_profiles, offsets
 from extremal.estimator.splines import DEGREE, Splines, arc_length, fit, knots
 
 ROWS = 5  # lines across the contour, 1 px apart, that are averaged for one edgel
@@ -23,6 +23,7 @@ SUBPIXEL = 32  # cv2.remap quantises coordinates to this fraction of a pixel: as
 SYSTEMATIC = (
     0.01  # [px] what the models of shading leave, alike in neighbouring edgels: no spline averages it out
 )
+CROWDED = 0.06  # [px] the same with another edge within the profile
 KINK = 3.0  # [px^2] error of the spline per change of curvature [1/px] within 5 px to each side
 LARGEST_SIGMA = 0.7  # [px] an edgel that is known less well is no edgel
 
@@ -67,7 +68,7 @@ def find_contours(image: np.ndarray, camera: Camera) -> Contours:
     if len(chains.chain) == 0:
         return _nothing(noise)
     curves = _through_pixels(chains)
-    return _localised(grey, curves, noise, camera)
+    return _localised(grey, curves, chains.edges, noise, camera)
 
 
 def _through_pixels(chains: Chains) -> Splines:
@@ -77,13 +78,14 @@ def _through_pixels(chains: Chains) -> Splines:
     return fit(u, chains.positions, np.ones(len(u)), t, breaks, u[:1])[0]
 
 
-def _localised(grey: np.ndarray, curves: Splines, noise: float, camera: Camera) -> Contours:
+def _localised(grey: np.ndarray, curves: Splines, mask: np.ndarray, noise: float, camera: Camera) -> Contours:
     """Edgels from profiles across the curves, and the splines through them."""
     u, contour = _window_starts(curves)
     lines = u[:, None] + np.arange(ROWS) + 0.5
     position, _, normal, curvature = curves.frame(lines)
     profiles = _profiles(grey, position, normal)
-    edges = fit_profiles(profiles, noise, ROWS, camera.blur, contour)
+    clear = _clearance(mask, position, normal)
+    edges = fit_profiles(profiles, noise, ROWS, camera.blur, contour, clear)
     middle, bend = normal[:, ROWS // 2], curvature.mean(axis=1)
     # blur draws a curved edge towards its centre of curvature
     offset = edges.offset - 0.5 * (camera.blur**2 + PIXEL_VARIANCE) * bend
@@ -95,7 +97,8 @@ def _localised(grey: np.ndarray, curves: Splines, noise: float, camera: Camera) 
     u, breaks = arc_length(positions, contour)
     splines, spline_sigma = _through_edgels(u, positions, sigma, bend[keep], contour, breaks)
     position, _, normal, bend = splines.frame(u)
-    spline_sigma = np.sqrt(spline_sigma**2 + SYSTEMATIC**2 + (KINK * _bend_change(bend, contour)) ** 2)
+    systematic = np.where(clear[keep] <= HALF_WIDTH, CROWDED, SYSTEMATIC)
+    spline_sigma = np.sqrt(spline_sigma**2 + systematic**2 + (KINK * _bend_change(bend, contour)) ** 2)
     return Contours(
         splines,
         u,
@@ -136,6 +139,16 @@ def _profiles(grey: np.ndarray, position: Array, normal: Array) -> Array:
     mean = values.mean(axis=1)
     slope = np.gradient(mean, axis=1)
     return mean - slope * moved.mean(axis=1)
+
+
+def _clearance(mask: np.ndarray, position: Array, normal: Array) -> Array:
+    """Distance (n,) [px] along the normals of the lines (n, ROWS, 2) to the nearest other edge; else far."""
+    s = offsets()
+    s = s[np.abs(s) >= 3]  # nearer pixels may be the contour's own
+    at = np.rint(position[..., None, :] + s[:, None] * normal[..., None, :]).astype(int)
+    height, width = mask.shape
+    hit = mask[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)] > 0
+    return np.where(hit.any(axis=1), np.abs(s), 2.0 * HALF_WIDTH).min(axis=1)
 
 
 def _runs(good: np.ndarray, contour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -18,11 +18,13 @@ SHORTEST = 12  # [px]
 class Chains:
     """Edge pixels in order: positions (n, 2) [px] to about 0.1 px, and the chain (n,) of each, non-decreasing.
 
-    Each chain is directed so that the brighter side lies to its left as seen in the image (x right, y down).
+    Each chain is directed so that the brighter side lies to its left as seen in the image (x right, y down). `edges` is
+    the mask (height, width) of all edge pixels, those of no chain included.
     """
 
     positions: Array
     chain: np.ndarray
+    edges: np.ndarray
 
 
 def noise_level(grey: Array) -> float:
@@ -49,7 +51,7 @@ def detect_chains(grey: np.ndarray, noise: float) -> Chains:
     pixels, chain = _link(_without_junctions(edges))
     positions = _subpixel(pixels, dx, dy)
     positions, chain = _split_at_corners(positions, chain)
-    return _directed(positions, chain, dx, dy)
+    return _directed(positions, chain, dx, dy, edges)
 
 
 _RING = np.array([[1, 2, 4], [128, 0, 8], [64, 32, 16]], np.float32)
@@ -132,10 +134,12 @@ def _split_at_corners(positions: Array, chain: np.ndarray) -> tuple[Array, np.nd
     return positions[keep], label
 
 
-def _directed(positions: Array, chain: np.ndarray, dx: np.ndarray, dy: np.ndarray) -> Chains:
+def _directed(
+    positions: Array, chain: np.ndarray, dx: np.ndarray, dy: np.ndarray, edges: np.ndarray
+) -> Chains:
     """Chains turned round where most of their bright side is on the wrong hand."""
     if len(chain) == 0:
-        return Chains(positions, chain)
+        return Chains(positions, chain, edges)
     x, y = np.rint(positions).astype(int).T
     tangent = np.gradient(positions, axis=0)
     left = tangent[:, 1] * dx[y, x] - tangent[:, 0] * dy[y, x]  # gradient along the left normal (ty, -tx)
@@ -143,4 +147,4 @@ def _directed(positions: Array, chain: np.ndarray, dx: np.ndarray, dy: np.ndarra
     start = np.searchsorted(chain, chain)
     end = np.searchsorted(chain, chain, side="right") - 1
     index = np.arange(len(chain))
-    return Chains(positions[np.where(wrong[chain], start + end - index, index)], chain)
+    return Chains(positions[np.where(wrong[chain], start + end - index, index)], chain, edges)

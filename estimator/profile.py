@@ -83,20 +83,22 @@ def _columns(model: Model, at: Array, spread: float) -> Array:
 
 
 @lru_cache(maxsize=16)
-def _bank(blur: float, half_width: int) -> tuple[Values, Values]:
+def _bank(blur: float, half_width: int, models: tuple[Model, ...]) -> tuple[Values, Values]:
     """Grid (E,) of offsets and orthonormal bases (K, M * E * COLUMNS), zero beyond half_width."""
     spread = float(np.sqrt(blur**2 + PIXEL_VARIANCE))
     grid = np.arange(-RANGE, RANGE + STEP / 2, STEP)
     s = offsets()
     used = np.abs(s) <= half_width
-    bank = np.zeros((len(s), len(MODELS), len(grid), COLUMNS), np.float32)
-    for i, model in enumerate(MODELS):
+    bank = np.zeros((len(s), len(models), len(grid), COLUMNS), np.float32)
+    for i, model in enumerate(models):
         q, _ = np.linalg.qr(_columns(model, s[used] - grid[:, None], spread))
         bank[used, i, :, : q.shape[-1]] = np.moveaxis(q, 1, 0)
     return grid, bank.reshape(len(s), -1)
 
 
-def fit_profiles(profiles: Array, noise: float, rows: int, blur: float, chains: np.ndarray) -> ProfileFit:
+def fit_profiles(
+    profiles: Array, noise: float, rows: int, blur: float, chains: np.ndarray, clear: np.ndarray | None = None
+) -> ProfileFit:
     """Edges in profiles (n, K), each the mean of `rows` independent lines across a contour.
 
     Args:
@@ -105,17 +107,26 @@ def fit_profiles(profiles: Array, noise: float, rows: int, blur: float, chains: 
         rows: lines averaged in a profile.
         blur: optical point spread [px].
         chains: (n,) contour of each profile, non-decreasing: evidence is not pooled across contours.
+        clear: (n,) distance [px] to the nearest other edge across the contour, where one is near.
     """
     variance = noise**2 / rows
     y = (profiles - profiles.mean(axis=1, keepdims=True)).astype(np.float32)
-    fit = _fit_window(y, variance, blur, HALF_WIDTH, chains)
+    fit = _fit_window(y, variance, blur, HALF_WIDTH, MODELS, chains)
     values, misfit = fit.values, fit.misfit
-    # another edge close by spoils the wide window, not the narrow one
+    # what spoils the wide window may lie outside a narrow one
     spoilt = np.flatnonzero(misfit > 1.5)
     if len(spoilt):
-        narrow = _fit_window(y[spoilt], variance, blur, HALF_WIDTH // 2 + 1, chains[spoilt])
+        narrow = _fit_window(y[spoilt], variance, blur, HALF_WIDTH // 2 + 1, MODELS, chains[spoilt])
         better = narrow.misfit * 1.5 + 0.5 < misfit[spoilt]
         values[spoilt[better]], misfit[spoilt[better]] = narrow.values[better], narrow.misfit[better]
+    if clear is not None:
+        # another edge next to this one looks much like the shading of a limb: keep away from it, and fit a plain step
+        width = np.clip(clear - 1.0, 2, HALF_WIDTH).astype(int)
+        for half in range(2, HALF_WIDTH):
+            near = np.flatnonzero(width == half)
+            if len(near):
+                step = _fit_window(y[near], variance, blur, half, MODELS[:1], chains[near])
+                values[near], misfit[near] = step.values, step.misfit
     offset, sigma, limb = values.T
     positive, negative = profiles[:, -5:-2].mean(axis=1), profiles[:, 2:5].mean(axis=1)
     return ProfileFit(offset, sigma * np.sqrt(np.maximum(misfit, 1.0)), positive - negative, limb)
@@ -127,15 +138,18 @@ class _WindowFit:
     misfit: Array  # (n,) chi2 per degree of freedom
 
 
-def _fit_window(y: Values, variance: float, blur: float, half_width: int, chains: np.ndarray) -> _WindowFit:
-    grid, bank = _bank(blur, half_width)
+def _fit_window(
+    y: Values, variance: float, blur: float, half_width: int, models: tuple[Model, ...], chains: np.ndarray
+) -> _WindowFit:
+    grid, bank = _bank(blur, half_width, models)
     count, samples = len(y), 2 * half_width + 1
     used = np.abs(offsets()) <= half_width
-    projected = (y @ bank).reshape(count, len(MODELS), len(grid), COLUMNS)
+    y = y - y[:, used].mean(axis=1, keepdims=True)
+    projected = (y @ bank).reshape(count, len(models), len(grid), COLUMNS)
     energy = np.sum(y[:, used] ** 2, axis=1)
     chi2 = (energy[:, None, None] - np.einsum("nmec,nmec->nme", projected, projected)) / variance
     offset, sigma, lowest = _posterior(chi2.astype(float), grid)
-    parameters = np.array([m.parameters for m in MODELS])
+    parameters = np.array([m.parameters for m in models])
     pooled = _pool(lowest, chains)
     # every window has parameters of its own: each takes 1 +- sqrt(2) off its chi2 even where there is nothing to fit
     evidence = pooled + parameters * (POOLED + CAUTION * np.sqrt(2 * POOLED))
@@ -145,7 +159,7 @@ def _fit_window(y: Values, variance: float, blur: float, half_width: int, chains
     safe = np.where(np.isfinite(sigma), sigma, 0.0)
     mean = np.sum(weight * offset, axis=1)
     total = np.sum(weight * (safe**2 + (offset - mean[:, None]) ** 2), axis=1)
-    sides = np.array([m.side * m.limb for m in MODELS])
+    sides = np.array([m.side * m.limb for m in models])
     best = np.argmax(weight, axis=1)
     freedom = samples - parameters[best]
     rows = np.arange(count)
@@ -169,11 +183,11 @@ def _posterior(chi2: Array, grid: Array) -> tuple[Array, Array, Array]:
     lowest = centre - 0.25 * (left - right) * shift
     wide = sigma > WIDE
     if wide.any():
-        weight = np.exp(-0.5 * np.minimum(chi2[wide] - lowest[wide][:, None], 80.0))
+        weight = np.exp(-0.5 * np.clip(chi2[wide] - lowest[wide][:, None], 0.0, 80.0))
         weight /= weight.sum(axis=1, keepdims=True)
         mean = weight @ grid
         offset[wide] = mean
-        sigma[wide] = np.sqrt(np.maximum(weight @ grid**2 - mean**2, sigma[wide] ** 2 * 0 + step**2 / 12))
+        sigma[wide] = np.sqrt(np.maximum(weight @ grid**2 - mean**2, step**2 / 12))
     sigma[(best == 0) | (best == len(grid) - 1)] = np.inf
     return offset, sigma, lowest
 

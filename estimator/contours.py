@@ -23,7 +23,7 @@ SUBPIXEL = 32  # cv2.remap quantises coordinates to this fraction of a pixel: as
 SYSTEMATIC = (
     0.01  # [px] what the models of shading leave, alike in neighbouring edgels: no spline averages it out
 )
-CROWDED = 0.06  # [px] the same with another edge within the profile
+CROWDED = 0.05  # [px] the same with another edge within the profile
 KINK = 3.0  # [px^2] error of the spline per change of curvature [1/px] within 5 px to each side
 LARGEST_SIGMA = 0.7  # [px] an edgel that is known less well is no edgel
 
@@ -98,7 +98,8 @@ def _localised(grey: np.ndarray, curves: Splines, mask: np.ndarray, noise: float
     splines, spline_sigma = _through_edgels(u, positions, sigma, bend[keep], contour, breaks)
     position, _, normal, bend = splines.frame(u)
     systematic = np.where(clear[keep] <= HALF_WIDTH, CROWDED, SYSTEMATIC)
-    spline_sigma = np.sqrt(spline_sigma**2 + systematic**2 + (KINK * _bend_change(bend, contour)) ** 2)
+    kink = KINK * _bend_change(bend, contour)
+    spline_sigma = np.sqrt(spline_sigma**2 + systematic**2 + edges.ambiguity[keep] ** 2 + kink**2)
     return Contours(
         splines,
         u,
@@ -142,13 +143,19 @@ def _profiles(grey: np.ndarray, position: Array, normal: Array) -> Array:
 
 
 def _clearance(mask: np.ndarray, position: Array, normal: Array) -> Array:
-    """Distance (n,) [px] along the normals of the lines (n, ROWS, 2) to the nearest other edge; else far."""
+    """Distance (n,) [px] along the normals of the lines (n, ROWS, 2) to the nearest edge beside this one; else far.
+
+    An edge that crosses the window meets single lines; one that runs beside the contour meets nearly all of them.
+    """
     s = offsets()
-    s = s[np.abs(s) >= 3]  # nearer pixels may be the contour's own
     at = np.rint(position[..., None, :] + s[:, None] * normal[..., None, :]).astype(int)
     height, width = mask.shape
     hit = mask[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)] > 0
-    return np.where(hit.any(axis=1), np.abs(s), 2.0 * HALF_WIDTH).min(axis=1)
+    hit[..., np.abs(s) < 3] = False  # these may be the contour's own pixels
+    lines = (hit[..., :-1] | hit[..., 1:]).sum(axis=1)
+    beside = np.maximum(np.pad(lines, ((0, 0), (0, 1))), np.pad(lines, ((0, 0), (1, 0)))) >= ROWS - 1
+    beside &= hit.any(axis=1)
+    return np.where(beside, np.abs(s), 2.0 * HALF_WIDTH).min(axis=1)
 
 
 def _runs(good: np.ndarray, contour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

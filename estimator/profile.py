@@ -49,11 +49,13 @@ COLUMNS = max(m.parameters for m in MODELS) - 1
 
 @dataclass(frozen=True, eq=False)
 class ProfileFit:
-    """Edges of n profiles: offset (n,) and sigma (n,) [px] along the profile; contrast (n,) [grey levels] from
-    negative to positive offsets; limb (n,) evidence, from -1 (shaded limb on the negative side) over 0 (none) to 1."""
+    """Edges of n profiles: offset (n,) and sigma (n,) [px] along the profile; ambiguity (n,) [px], that part of the error
+    which neighbours share; contrast (n,) [grey levels] from negative to positive offsets; limb (n,) evidence, from -1
+    (shaded limb on the negative side) over 0 (none) to 1."""
 
     offset: Array
     sigma: Array
+    ambiguity: Array
     contrast: Array
     limb: Array
 
@@ -119,17 +121,31 @@ def fit_profiles(
         narrow = _fit_window(y[spoilt], variance, blur, HALF_WIDTH // 2 + 1, MODELS, chains[spoilt])
         better = narrow.misfit * 1.5 + 0.5 < misfit[spoilt]
         values[spoilt[better]], misfit[spoilt[better]] = narrow.values[better], narrow.misfit[better]
+    ambiguity = np.zeros(len(y))
     if clear is not None:
-        # another edge next to this one looks much like the shading of a limb: keep away from it, and fit a plain step
+        # another edge beside this one looks much like the shading of a limb: a plain step in a window that ends before it
+        # is the other reading, and the truth is taken to lie between the two
         width = np.clip(clear - 1.0, 2, HALF_WIDTH).astype(int)
         for half in range(2, HALF_WIDTH):
             near = np.flatnonzero(width == half)
             if len(near):
                 step = _fit_window(y[near], variance, blur, half, MODELS[:1], chains[near])
-                values[near], misfit[near] = step.values, step.misfit
+                ambiguity[near] = _between(values, misfit, near, step)
     offset, sigma, limb = values.T
     positive, negative = profiles[:, -5:-2].mean(axis=1), profiles[:, 2:5].mean(axis=1)
-    return ProfileFit(offset, sigma * np.sqrt(np.maximum(misfit, 1.0)), positive - negative, limb)
+    return ProfileFit(offset, sigma * np.sqrt(np.maximum(misfit, 1.0)), ambiguity, positive - negative, limb)
+
+
+def _between(values: Array, misfit: Array, near: np.ndarray, step: "_WindowFit") -> Array:
+    """Put the mean of two readings into `values`; half their difference."""
+    both = np.stack([values[near], step.values])
+    only = np.isfinite(both[..., 1]).sum(axis=0) < 2  # one of them found no edge
+    first = np.where(np.isfinite(both[0, :, 1:2]), both[0], both[1])
+    with np.errstate(invalid="ignore"):
+        values[near] = np.where(only[:, None], first, both.mean(axis=0))
+        half = np.where(only, 0.0, 0.5 * np.abs(both[0, :, 0] - both[1, :, 0]))
+    misfit[near] = np.minimum(misfit[near], step.misfit)
+    return half
 
 
 @dataclass(frozen=True, eq=False)

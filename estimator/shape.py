@@ -12,6 +12,7 @@ from extremal.estimator.camera import Array, View
 from extremal.estimator.circle import OsculatingCircle, osculating_circle
 from extremal.estimator.contours import Contours, find_contours
 from extremal.estimator.epipolar import Sequence3D
+from extremal.estimator.section import varying_sections
 from extremal.estimator.tracking import EdgelMap, Tracks, track
 from extremal.estimator.uncertainty import pose_angle_sigma, pose_gradient, relative_radius
 
@@ -128,8 +129,10 @@ def _fit_circles(views: list[View], sequence: Sequence3D, tracks: Tracks, order:
         seen &= ~worst
         total = np.where(seen, total, np.inf)
         circles = osculating_circle(centres, rays, total, tracks.planes.normal)
-    residual = np.where(seen, circles.residuals / (total * np.maximum(circles.distances, 1e-6)), 0.0)
-    return _Fit(circles, seen, np.where(seen, sigma, np.inf), _misfit(residual, seen, tracks.contour))
+    weight = np.where(seen, 1 / (total * np.maximum(circles.distances, 1e-6)), 0.0)
+    inflation = _misfit(weight * circles.residuals, seen, tracks.contour)
+    circles = varying_sections(circles, weight, tracks.contour)
+    return _Fit(circles, seen, np.where(seen, sigma, np.inf), inflation)
 
 
 def _misfit(residual: Array, seen: np.ndarray, contour: np.ndarray) -> Array:

@@ -21,10 +21,10 @@ LONGEST_GAP = 3  # edgels that a contour may miss in a row
 HUBER = 2.5  # standard deviations beyond which an edgel loses weight
 SUBPIXEL = 32  # cv2.remap quantises coordinates to this fraction of a pixel: ask only for such
 SYSTEMATIC = (
-    0.01  # [px] what the models of shading leave, alike in neighbouring edgels: no spline averages it out
+    0.0065  # [px] what models of shading leave, alike in neighbouring edgels: no spline averages it out
 )
 CROWDED = 0.05  # [px] the same with another edge within the profile
-KINK = 3.0  # [px^2] error of the spline per change of curvature [1/px] within 5 px to each side
+KINK = 1.5  # [px^2] error of the spline per change of curvature [1/px] within 5 px to each side
 LARGEST_SIGMA = 0.7  # [px] an edgel that is known less well is no edgel
 
 
@@ -93,7 +93,7 @@ def _localised(grey: np.ndarray, curves: Splines, mask: np.ndarray, noise: float
     if not keep.any():
         return _nothing(noise)
     positions = (position[:, ROWS // 2] + offset[:, None] * middle)[keep]
-    sigma = edges.sigma[keep]
+    sigma = np.hypot(edges.sigma, edges.ambiguity)[keep]
     u, breaks = arc_length(positions, contour)
     splines, spline_sigma = _through_edgels(u, positions, sigma, bend[keep], contour, breaks)
     position, _, normal, bend = splines.frame(u)

@@ -6,6 +6,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import current_process, get_context
+from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
@@ -93,9 +94,13 @@ def _render_there(
     select_backend()
     frames: dict[int, NDArray[np.float32]] = {}
     try:
+        # The model goes through a file: a process that dies early would leave this one writing to its pipe for ever.
         with (
+            TemporaryDirectory() as folder,
             _single_threaded_gl(),
-            ProcessPoolExecutor(workers, get_context("spawn"), _start, (model, camera, quality)) as pool,
+            ProcessPoolExecutor(
+                workers, get_context("spawn"), _start, (_saved(model, folder), camera, quality)
+            ) as pool,
         ):
             jobs = {pool.submit(_render, poses[i]): i for i in range(len(poses))}
             for job in as_completed(jobs):
@@ -122,8 +127,15 @@ def _single_threaded_gl() -> Iterator[None]:
             os.environ["LP_NUM_THREADS"] = before
 
 
-def _start(model: mujoco.MjModel, camera: Camera, quality: Quality) -> None:
+def _saved(model: mujoco.MjModel, folder: str) -> str:
+    path = os.path.join(folder, "model.mjb")
+    mujoco.mj_saveModel(model, path, None)
+    return path
+
+
+def _start(path: str, camera: Camera, quality: Quality) -> None:
     """In a worker: its renderer lives as long as the process."""
+    model = mujoco.MjModel.from_binary_path(path)
     _renderer.append(FrameRenderer(model, camera, quality).__enter__())
 
 

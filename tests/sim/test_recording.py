@@ -1,6 +1,9 @@
 """Recordings: commanded, actual and believed poses, determinism, any number of workers, clear errors."""
 
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -83,3 +86,16 @@ def test_camera_inside_an_object(scene: Scene) -> None:
 def test_workers_are_counted_from_one(scene: Scene) -> None:
     with pytest.raises(InvalidInput, match="workers is 0"):
         take(scene, workers=0)
+
+
+def test_a_script_without_main_guard_is_told(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from extremal.estimator import Camera\n"
+        "from extremal.scenes import load_scene\n"
+        "from extremal.sim import LinearMotion, record\n"
+        "record(load_scene('sphere'), Camera(), LinearMotion(views=3), 'preview', workers=2)\n"
+    )
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False, timeout=90)
+    assert done.returncode == 1
+    assert 'under `if __name__ == "__main__":`' in done.stderr.strip().splitlines()[-1]

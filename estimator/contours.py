@@ -9,6 +9,7 @@ from scipy.ndimage import maximum_filter1d
 
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.detection import Chains, detect_chains, noise_level
+from extremal.estimator.pooling import window_sum
 from extremal.estimator.profile import HALF_WIDTH, PIXEL_VARIANCE, fit_profiles, offsets
 from extremal.estimator.splines import DEGREE, Splines, arc_length, fit, knots
 
@@ -187,23 +188,15 @@ def _through_edgels(
     at, _, normal, _ = splines.frame(u)
     misfit = (np.sum((positions - at) * normal, axis=1) * weights) ** 2
     freedom = np.maximum(1 - variance * weights**2, 0.0)  # what the spline leaves of each edgel's residual
-    return splines, np.sqrt(variance * np.maximum(1.0, _shared(misfit, contour) / _shared(freedom, contour)))
+    chi2, _ = window_sum(misfit, contour, SHARED)
+    left, _ = window_sum(freedom, contour, SHARED)
+    return splines, np.sqrt(variance * np.maximum(1.0, (chi2 + 1e-3) / (left + 1e-3)))
 
 
 def _bend_change(bend: Array, contour: np.ndarray) -> Array:
     """Largest change (n,) of curvature to the next edgels on the same contour."""
     change = np.where(contour[1:] == contour[:-1], np.abs(np.diff(bend)), 0.0)
     return np.maximum(np.append(change, 0.0), np.append(0.0, change))
-
-
-def _shared(values: Array, contour: np.ndarray) -> Array:
-    """Sum of each value and its SHARED neighbours on each side along the contour, and a little more than nothing."""
-    total = values + 1e-3
-    for shift in range(1, SHARED + 1):
-        same = contour[shift:] == contour[:-shift]
-        total[shift:][same] += values[:-shift][same]
-        total[:-shift][same] += values[shift:][same]
-    return total
 
 
 def _nothing(noise: float) -> Contours:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import erf, ndtr
 
 from extremal.estimator.camera import Array
+from extremal.estimator.pooling import window_sum
 
 HALF_WIDTH = 7  # [px] samples on each side of the expected edge
 RANGE, STEP = 1.75, 0.125  # [px] grid of the offset e
@@ -166,7 +167,8 @@ def _fit_window(
     chi2 = (energy[:, None, None] - np.einsum("nmec,nmec->nme", projected, projected)) / variance
     offset, sigma, lowest = _posterior(chi2.astype(float), grid)
     parameters = np.array([m.parameters for m in models])
-    pooled = _pool(lowest, chains)
+    total, neighbours = window_sum(np.minimum(lowest, 1e6), chains, POOLED // 2)
+    pooled = total * (POOLED / neighbours)[:, None]
     # every window has parameters of its own: each takes 1 +- sqrt(2) off its chi2 even where there is nothing to fit
     evidence = pooled + parameters * (POOLED + CAUTION * np.sqrt(2 * POOLED))
     weight = np.exp(-0.5 * np.minimum(evidence - evidence.min(axis=1, keepdims=True), 60.0))
@@ -206,20 +208,3 @@ def _posterior(chi2: Array, grid: Array) -> tuple[Array, Array, Array]:
         sigma[wide] = np.sqrt(np.maximum(weight @ grid**2 - mean**2, step**2 / 12))
     sigma[(best == 0) | (best == len(grid) - 1)] = np.inf
     return offset, sigma, lowest
-
-
-def _pool(values: Array, chains: np.ndarray) -> Array:
-    """Sum of POOLED neighbours along each contour (scaled up at its ends)."""
-    if len(values) == 0:
-        return values
-    weight = np.ones(len(values))
-    total, counted = np.zeros_like(values), np.zeros(len(values))
-    for shift in range(-(POOLED // 2), POOLED // 2 + 1):
-        same = np.roll(chains, shift) == chains
-        if shift > 0:
-            same[:shift] = False
-        elif shift < 0:
-            same[shift:] = False
-        total += np.where(same[:, None], np.roll(values, shift, axis=0), 0.0)
-        counted += same * weight
-    return total * (POOLED / counted)[:, None]

@@ -14,6 +14,7 @@ import numpy as np
 
 from extremal.estimator.camera import Array
 from extremal.estimator.circle import OsculatingCircle
+from extremal.estimator.pooling import window_sum
 
 NEIGHBOURS = 10  # points on each side along the contour that decide together
 EVIDENCE = 6.0  # mean fall of chi2 of these points: chance brings 1, the shading of painted patches near a limb up to 4
@@ -34,7 +35,7 @@ def varying_sections(circles: OsculatingCircle, weight: Array, contour: np.ndarr
         solutions.append(solved)
         chi2.append(solved[3])
     falls = (a - b for a, b in itertools.pairwise(chi2))
-    first, second = (_pooled(np.where(least, fall, 0.0), least, contour) for fall in falls)
+    first, second = (_pooled(fall, least, contour) for fall in falls)
     refined = circles
     for (shift, gain, covariance, _), chosen in zip(solutions, (first & ~second, second), strict=True):
         refined = _refined(refined, chosen & least, shift, gain, covariance)
@@ -72,11 +73,8 @@ def _solve(
 
 def _pooled(fall: Array, counted: np.ndarray, contour: np.ndarray) -> np.ndarray:
     """Whether the mean fall of chi2 around each point (n,) exceeds EVIDENCE."""
-    total, count = np.zeros(len(fall)), np.zeros(len(fall))
-    for shift in range(-NEIGHBOURS, NEIGHBOURS + 1):
-        same = (np.roll(contour, shift) == contour) & np.roll(counted, shift)
-        total += np.where(same, np.roll(fall, shift), 0.0)
-        count += same
+    total, _ = window_sum(np.where(counted, fall, 0.0), contour, NEIGHBOURS)
+    count, _ = window_sum(counted.astype(float), contour, NEIGHBOURS)
     return total > EVIDENCE * np.maximum(count, 1.0)
 
 

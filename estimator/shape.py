@@ -12,6 +12,7 @@ from extremal.estimator.camera import Array, View
 from extremal.estimator.circle import OsculatingCircle, osculating_circle
 from extremal.estimator.contours import Contours, find_contours
 from extremal.estimator.epipolar import Sequence3D
+from extremal.estimator.pooling import window_sum
 from extremal.estimator.section import varying_sections
 from extremal.estimator.tracking import EdgelMap, Tracks, track
 from extremal.estimator.uncertainty import pose_angle_sigma, pose_gradient, relative_radius
@@ -138,11 +139,8 @@ def _fit_circles(views: list[View], sequence: Sequence3D, tracks: Tracks, order:
 def _misfit(residual: Array, seen: np.ndarray, contour: np.ndarray) -> Array:
     """chi2 (n,) per degree of freedom, pooled with the nearest neighbours along the contour; at least 1."""
     chi2, freedom = np.sum(residual**2, axis=1), np.maximum(seen.sum(axis=1) - 3.0, 0.0)
-    pooled, count = np.zeros_like(chi2), np.zeros_like(chi2)
-    for shift in range(-POOLED, POOLED + 1):
-        same = np.roll(contour, shift) == contour
-        pooled += np.where(same, np.roll(chi2, shift), 0.0)
-        count += np.where(same, np.roll(freedom, shift), 0.0)
+    pooled, _ = window_sum(chi2, contour, POOLED)
+    count, _ = window_sum(freedom, contour, POOLED)
     return np.maximum(1.0, pooled / np.maximum(count, 1.0))
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from extremal.estimator.camera import Array
 from extremal.estimator.contours import Contours
 from extremal.estimator.epipolar import EpipolarPlanes, Sequence3D
+from extremal.estimator.pooling import window_sum
 
 NEAREST, FARTHEST = 0.15, 4.0  # [m] depths that are searched
 SWEEP_STEP = 1.5  # [px] between depths of the sweep, in the farthest view it uses
@@ -239,24 +240,12 @@ def _sweep(
         alike = np.sum(wanted[hit // len(inverse)] * normal, axis=1) > ALIKE
         off = np.sum((at.reshape(-1, 2)[hit] - contours[view].positions[there]) * normal, axis=1)
         score.ravel()[hit] += alike * np.exp(-0.5 * (off / SWEEP_WIDTH) ** 2)
-    pooled = _pool_along(score, contours[reference].contour)
+    total, neighbours = window_sum(score, contours[reference].contour, SUPPORT // 2)
+    pooled = total / neighbours[:, None]
     best = np.argmax(pooled, axis=1)
     rows = np.arange(len(rays))
     found = pooled[rows, best] > 0.5 * min(len(views), 2)
     return 1 / inverse[best], found
-
-
-def _pool_along(score: Array, contour: np.ndarray) -> Array:
-    """Mean of SUPPORT neighbours along each contour, neighbours on other contours left out."""
-    half = SUPPORT // 2
-    total, counted = score.copy(), np.ones(len(score), np.float32)
-    for shift in range(1, half + 1):
-        same = contour[shift:] == contour[:-shift]
-        total[shift:][same] += score[:-shift][same]
-        total[:-shift][same] += score[shift:][same]
-        counted[shift:][same] += 1
-        counted[:-shift][same] += 1
-    return total / counted[:, None]
 
 
 class CircleFilter:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from extremal.estimator import Shape, View
 from extremal.scenes import Scene, SurfaceCurve
@@ -31,12 +31,13 @@ class Coverage:
 def track_coverage(shape: Shape, recording: Recording, scene: Scene) -> Coverage:
     """Coverage of a look at a scene, in its reference view."""
     views = [
-        View(view.camera, pose, view.image) for view, pose in zip(recording.views, recording.actual, strict=True)
+        View(view.camera, pose, view.image)
+        for view, pose in zip(recording.views, recording.actual, strict=True)
     ]
     reference = views[shape.reference]
     edges = scene.true_edges(reference.centre)
     pixels, kind, fixed, points, sine = _projected(edges, reference, views[-1].centre - views[0].centre)
-    near, _ = cKDTree(pixels).query(shape.pixels)
+    near, _ = KDTree(pixels).query(shape.pixels)
     wanted = (kind != "marking") & _has_contrast(reference, pixels) & _inside(reference, pixels)
     for view in (views[0], views[-1]):  # a contour generator slips, but as a whole it stays in view or not
         wanted &= _inside(view, view.project(points)) & (~fixed | _seen(scene, view, points))
@@ -44,7 +45,7 @@ def track_coverage(shape: Shape, recording: Recording, scene: Scene) -> Coverage
     def share(chosen: np.ndarray, among: np.ndarray) -> float:
         if not chosen.any() or not among.any():
             return 0.0
-        distance, _ = cKDTree(shape.pixels[chosen]).query(pixels[wanted][among])
+        distance, _ = KDTree(shape.pixels[chosen]).query(pixels[wanted][among])
         return float(np.mean(distance < GAP))
 
     everything = np.ones(wanted.sum(), bool)
@@ -64,6 +65,7 @@ def _projected(
     for edge in edges:
         at = view.project(edge.points)
         ok = edge.visible & np.isfinite(at).all(axis=1)
+        ok &= np.isfinite(np.gradient(at, axis=0)).all(axis=1) if len(at) > 1 else False
         if ok.sum() < 2:
             continue
         step = np.linalg.norm(np.gradient(at, axis=0), axis=1)
@@ -85,8 +87,10 @@ def _inside(view: View, pixels: np.ndarray) -> np.ndarray:
 
 def _seen(scene: Scene, view: View, points: np.ndarray) -> np.ndarray:
     """Whether fixed points are visible from a view: a true edge of that view passes through them."""
-    seen = np.concatenate([e.points[e.visible] for e in scene.true_edges(view.centre) if e.kind != "extremal"])
-    distance, _ = cKDTree(seen).query(points)
+    seen = np.concatenate(
+        [e.points[e.visible] for e in scene.true_edges(view.centre) if e.kind != "extremal"]
+    )
+    distance, _ = KDTree(seen).query(points)
     return distance < 5e-4
 
 

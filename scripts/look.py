@@ -5,9 +5,10 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,6 +16,7 @@ from typing import Annotated, Any, Literal
 import cv2
 import numpy as np
 import tyro
+from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
@@ -25,6 +27,7 @@ from extremal.scripts.picture import draw
 from extremal.scripts.scoring import Scored, score
 from extremal.sim import LinearMotion, PoseErrors, Recording, Sensor, record
 
+LEAST_SHOWN = 3  # points of a contour that are worth a line of the table
 EXPERIMENTS = {
     "metric": {"views": 15, "baseline": 0.4, "distance": 0.6},
     "book": {"views": 3, "baseline": 0.1, "distance": 0.5},
@@ -95,11 +98,12 @@ def take_look(scene: Scene, settings: LookSettings, progress: Progress | None = 
     chosen = settings.resolved()
     motion = LinearMotion(views=chosen["views"], baseline=chosen["baseline"], distance=chosen["distance"])
     errors = PoseErrors(position=settings.position_error, rotation=settings.rotation_error)
-    render = progress.add_task("rendering", total=chosen["views"]) if progress else None
-    vision = progress.add_task("contours", total=chosen["views"]) if progress else None
 
-    def bar(task: Any) -> Any:
-        return (lambda done, total: progress.update(task, completed=done, total=total)) if progress else None
+    def bar(name: str) -> Callable[[int, int], None] | None:
+        if progress is None:
+            return None
+        advance = partial(progress.update, progress.add_task(name, total=chosen["views"]))
+        return lambda done, total: advance(completed=done, total=total)
 
     recording = record(
         scene,
@@ -109,10 +113,10 @@ def take_look(scene: Scene, settings: LookSettings, progress: Progress | None = 
         Sensor(noise=settings.noise),
         errors,
         rng,
-        progress=bar(render),
+        progress=bar("rendering"),
     )
     rendered = time.perf_counter()
-    shape = estimate_shape(recording.views, bar(vision))
+    shape = estimate_shape(recording.views, bar("contours"))
     seen = time.perf_counter()
     scored = score(shape, recording, scene)
     timing = {
@@ -191,36 +195,44 @@ def _write(folder: Path, settings: LookSettings, result: Look) -> None:
 
 
 def _table(result: Look) -> Table:
-    """What was seen: one row an image contour, medians of its points."""
-    table = Table(title="what was seen (medians of the points of each contour)")
-    for name, justify in (("contour", "left"), ("object", "left"), ("label", "left"), ("truth", "left"), ("points", "right"),
-                          ("depth mm", "right"), ("R mm", "right"), ("sigma mm", "right"), ("true R mm", "right")):  # fmt: skip
-        table.add_column(name, justify=justify)
+    """What was seen: a row for each side of each image contour, medians of its points."""
+    table = Table(title="what was seen: medians over the points of each contour [mm]", box=SIMPLE)
+    for name in ("contour", "object", "label", "truth"):
+        table.add_column(name, no_wrap=True)
+    for name in ("points", "depth", "|R|", "sigma", "true |R|"):
+        table.add_column(name, justify="right", no_wrap=True)
     scored = result.scored
-    names = scored.column("contour")
+    names = np.array([p["contour"].removeprefix("contour-") for p in scored.points])
+    groups = np.array(
+        [f"{n} {p['label']} {p['side']} {p['true_label']}" for n, p in zip(names, scored.points, strict=True)]
+    )
     centre = result.recording.views[result.shape.reference].centre
     depth = np.linalg.norm(scored.column("position_m") - centre, axis=1)
-    for name in dict.fromkeys(names):
-        rows = names == name
-
-        def median(field: str, rows: np.ndarray = rows) -> str:
-            values = scored.column(field)[rows]
-            return f"{1e3 * np.nanmedian(values):.2f}" if np.isfinite(values).any() else "-"
-
-        most = [_most(scored.column(field)[rows]) for field in ("object", "label", "true_label")]
-        numbers = [f"{1e3 * np.median(depth[rows]):.1f}", median("radius_m"), median("sigma_radius_m")]
-        table.add_row(str(name), *most, str(rows.sum()), *numbers, median("true_radius_m"))
-    known = np.isfinite(scored.column("true_radius_m"))
-    error = np.abs(scored.column("radius_m") - scored.column("true_radius_m"))[known]
-    inside = error < 1.96 * scored.column("sigma_radius_m")[known]
-    if known.any():
-        table.caption = (
-            f"{known.sum()} points matched with the scene: median |R error| {1e3 * np.median(error):.2f} mm, "
-            f"{100 * inside.mean():.1f} % within 1.96 sigma; vision {result.timing['vision']:.2f} s"
-        )
+    columns = [depth, *(np.abs(scored.column(f)) for f in ("radius_m", "sigma_radius_m", "true_radius_m"))]
+    for group in dict.fromkeys(groups):
+        rows = groups == group
+        if rows.sum() < LEAST_SHOWN:
+            continue
+        first = scored.points[int(np.argmax(rows))]
+        words = [str(first[k] or "-") for k in ("object", "label", "true_label")]
+        medians = [1e3 * np.median(c[rows]) for c in columns]
+        numbers = [f"{m:.{1 if k == 0 else 2}f}" if np.isfinite(m) else "-" for k, m in enumerate(medians)]
+        table.add_row(str(names[rows][0]), *words, str(rows.sum()), *numbers)
+    table.caption = _summary(result)
     return table
 
 
-def _most(values: np.ndarray) -> str:
-    names, counts = np.unique(values, return_counts=True)
-    return str(names[np.argmax(counts)]) or "-"
+def _summary(result: Look) -> str:
+    scored = result.scored
+    error = np.abs(scored.column("radius_m") - scored.column("true_radius_m"))
+    known = np.isfinite(error)
+    extremal = known & (scored.column("true_label") == "extremal")
+    if not known.any():
+        return "no point matches the scene"
+    inside = (error < 1.96 * scored.column("sigma_radius_m"))[known].mean()
+    median = f"{1e3 * np.median(error[extremal]):.2f} mm" if extremal.any() else "-"
+    speed = len(result.recording.views) / result.timing["vision"]
+    return (
+        f"extremal boundaries: median |R error| {median}; {100 * inside:.1f} % of all {known.sum()} points within "
+        f"1.96 sigma; vision at {speed:.0f} frames/s"
+    )

@@ -13,12 +13,15 @@ SHORTEST_BASELINE = 1e-4  # [m]
 
 @dataclass(frozen=True, eq=False)
 class Sequence3D:
-    """V views as arrays: rotations (V, 3, 3) camera to world, centres (V, 3) [m], unit travel (3,) first to last."""
+    """V views as arrays: rotations (V, 3, 3) camera to world, centres (V, 3) [m], unit travel (3,) first to last, and
+    typical standard deviations (V,) of each pose's position [m] and orientation [rad]."""
 
     cameras: tuple[Camera, ...]
     rotations: Array
     centres: Array
     travel: Array
+    position_sigma: Array
+    rotation_sigma: Array
 
     @staticmethod
     def of(views: Sequence[View]) -> "Sequence3D":
@@ -36,7 +39,12 @@ class Sequence3D:
                 f"the camera centres span {np.ptp(along):.2g} m; accepted: a baseline of at least {SHORTEST_BASELINE} m"
             )
         travel = spread if along[-1] > 0 else -spread
-        return Sequence3D(tuple(v.camera for v in views), rotations, centres, travel)
+        variance = np.array([np.diagonal(v.pose_covariance) for v in views]).reshape(-1, 2, 3).mean(axis=2)
+        return Sequence3D(tuple(v.camera for v in views), rotations, centres, travel, *np.sqrt(variance).T)
+
+    def pose_sigma(self, view: int, distance: Array) -> Array:
+        """Standard deviation (n,) [rad] of the direction of points at a distance (n,), from the pose of a view."""
+        return np.hypot(self.position_sigma[view] / np.maximum(distance, 1e-6), self.rotation_sigma[view])
 
     def rays(self, view: int, pixels: Array) -> Array:
         """Unit rays (..., 3) in the world through pixels (..., 2) of a view."""

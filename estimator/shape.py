@@ -14,7 +14,7 @@ from extremal.estimator.contours import Contours, find_contours
 from extremal.estimator.epipolar import Sequence3D
 from extremal.estimator.pooling import window_sum
 from extremal.estimator.section import varying_sections
-from extremal.estimator.tracking import EdgelMap, Tracks, track
+from extremal.estimator.tracking import EdgelMap, Tracks, reach_of, track
 from extremal.estimator.uncertainty import pose_angle_sigma, pose_gradient, relative_radius
 
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
@@ -82,7 +82,7 @@ def estimate_shape(views: Sequence[View], progress: Callable[[int, int], None] |
     """
     sequence = Sequence3D.of(views)
     with threadpool_limits(1, "blas"):  # many small matrices: views are spread over the processors instead
-        contours, maps = _all_contours(views, progress)
+        contours, maps = _all_contours(views, reach_of(sequence), progress)
         reference = len(views) // 2
         tracks = track(sequence, contours, maps, reference)
         order = np.array([reference, *(i for i in range(len(views)) if i != reference)])
@@ -91,11 +91,11 @@ def estimate_shape(views: Sequence[View], progress: Callable[[int, int], None] |
 
 
 def _all_contours(
-    views: Sequence[View], progress: Callable[[int, int], None] | None
+    views: Sequence[View], reach: int, progress: Callable[[int, int], None] | None
 ) -> tuple[list[Contours], list[EdgelMap]]:
     def find(view: View) -> tuple[Contours, EdgelMap]:
         contours = find_contours(view.image, view.camera)
-        return contours, EdgelMap(contours, view.camera.width, view.camera.height)
+        return contours, EdgelMap(contours, view.camera.width, view.camera.height, reach)
 
     with ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
         found = []

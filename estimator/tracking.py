@@ -20,7 +20,8 @@ NEAREST, FARTHEST = 0.15, 4.0  # [m] depths that are searched
 SWEEP_STEP = 1.5  # [px] between depths of the sweep, in the farthest view it uses
 SWEEP_VIEWS = 4
 SWEEP_WIDTH = 1.2  # [px] how near to a contour counts in the sweep
-REACH = 4  # [px] radius in which an edgel is looked for
+REACH = 4  # [px] radius in which an edgel is looked for, where poses are exact
+FARTHEST_REACH = 14  # [px] the same at the most
 SUPPORT = 7  # edgels along the contour that vote together in the sweep
 PARALLEL = (
     0.08  # sine of the angle to its epipolar line below which a contour is followed but not matched along it
@@ -64,11 +65,11 @@ class Tracks:
 
 
 class EdgelMap:
-    """Which edgel of a view is nearest to a pixel, within REACH."""
+    """Which edgel of a view is nearest to a pixel, within `reach` [px]."""
 
-    def __init__(self, contours: Contours, width: int, height: int) -> None:
-        self.width, self.height = width, height
-        self.index = np.full((height + 2 * REACH, width + 2 * REACH), -1, np.int32)
+    def __init__(self, contours: Contours, width: int, height: int, reach: int) -> None:
+        self.width, self.height, self.reach = width, height, reach
+        self.index = np.full((height + 2 * reach, width + 2 * reach), -1, np.int32)
         if len(contours.u) == 0:
             return
         breaks = contours.splines.breaks
@@ -78,11 +79,11 @@ class EdgelMap:
         nearest -= (u - contours.u[nearest - 1]) < (contours.u[nearest] - u)
         within = contours.contour[nearest] == contours.splines.contour_of(u)
         u, nearest = u[within & (len(first) > 0)], nearest[within]
-        x, y = np.rint(contours.splines.curve(u)).astype(int).T + REACH
-        inside = (x >= REACH) & (x < width + REACH) & (y >= REACH) & (y < height + REACH)
+        x, y = np.rint(contours.splines.curve(u)).astype(int).T + reach
+        inside = (x >= reach) & (x < width + reach) & (y >= reach) & (y < height + reach)
         x, y, nearest = x[inside], y[inside], nearest[inside]
-        steps = np.mgrid[-REACH : REACH + 1, -REACH : REACH + 1].reshape(2, -1).T
-        steps = steps[(steps**2).sum(axis=1) <= REACH**2]
+        steps = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+        steps = steps[(steps**2).sum(axis=1) <= reach**2]
         for dy, dx in steps[np.argsort(-(steps**2).sum(axis=1), kind="stable")]:
             self.index[y + dy, x + dx] = nearest
 
@@ -93,7 +94,7 @@ class EdgelMap:
             inside = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
         x = np.where(inside, x, 0).astype(np.intp)
         y = np.where(inside, y, 0).astype(np.intp)
-        return np.where(inside, self.index[y + REACH, x + REACH], -1)
+        return np.where(inside, self.index[y + self.reach, x + self.reach], -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,14 +141,17 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
         True: direction,
         False: direction,
     }  # a contour turns in the image as the camera travels to either side
-    state = CircleFilter(planes, rays, depth, sigma)
+    state = CircleFilter(planes, rays, depth, np.hypot(sigma, sequence.pose_sigma(reference, depth)))
     for view in order[1:]:
         points, spread = state.predict(sequence.centres[view])
         ahead = bool((sequence.centres[view] - sequence.centres[reference]) @ sequence.travel > 0)
         crossing = _cross(sequence, contours[view], maps[view], view, planes, points, latest[ahead], loose)
-        gate = LEAST_GATE / sequence.cameras[view].fx + GATE * np.hypot(spread, crossing.sigma)
+        sigma = np.hypot(
+            crossing.sigma, sequence.pose_sigma(view, np.linalg.norm(points - sequence.centres[view], axis=1))
+        )
+        gate = LEAST_GATE / sequence.cameras[view].fx + GATE * np.hypot(spread, sigma)
         ok = crossing.found & (np.abs(state.innovation(sequence.centres[view], points, crossing.rays)) < gate)
-        state.update(ok, sequence.centres[view], crossing.rays, crossing.sigma, points)
+        state.update(ok, sequence.centres[view], crossing.rays, sigma, points)
         latest[ahead] = np.where(ok[:, None], crossing.directions, latest[ahead])
         columns.append(_where_seen(ok, crossing, sequence, view, points))
     back = np.argsort(order)
@@ -168,6 +172,12 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
         stacked["limb"],
         stacked["curvature"],
     )
+
+
+def reach_of(sequence: Sequence3D) -> int:
+    """Radius [px] in which an edgel has to be looked for, given how well the poses are known."""
+    pose = max(float(sequence.pose_sigma(v, np.array(0.5))) for v in range(len(sequence.centres)))
+    return int(min(REACH + np.ceil(GATE * pose * sequence.cameras[0].fx), FARTHEST_REACH))
 
 
 def _loose_sigma(sequence: Sequence3D, view: int) -> float:
@@ -351,7 +361,7 @@ def _cross(
     wanted = direction @ sequence.rotations[view][:, :2]
     found &= loose | (np.abs(error) < 0.05 * distance / sequence.cameras[view].fx)
     found &= np.sum(wanted * normal, axis=1) > ALIKE * np.linalg.norm(wanted, axis=1)
-    found &= np.abs(u - start) < 4 * REACH
+    found &= np.abs(u - start) < 4 * edgels.reach
     sigma = np.where(loose, _loose_sigma(sequence, view), sigma)
     nearest = np.clip(np.searchsorted(contours.u, u), 0, len(contours.u) - 1)
     directions = normal @ sequence.rotations[view][:, :2].T

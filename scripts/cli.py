@@ -12,6 +12,7 @@ from typing import Any
 # A command `name` is the function `name(settings: SomeDataclass)` of the module `extremal.scripts.name`.
 COMMANDS = {
     "look": "look at a scene: from rendered frames to curvature with its uncertainty, beside the truth",
+    "accuracy": "measure accuracy over random vases, lights and noise; makes the tables of docs/accuracy.md",
     "doctor": "whether offscreen rendering works here, how exactly and how fast; if not, what to install",
 }
 USAGE_ERROR = 2
@@ -52,7 +53,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _help() -> str:
-    commands = "\n".join(f"  {name:8}{summary}" for name, summary in COMMANDS.items())
+    commands = "\n".join(f"  {name:10}{summary}" for name, summary in COMMANDS.items())
     return (
         f"usage: extremal COMMAND [options]\n\n{metadata.metadata('extremal')['Summary']}\n\ncommands:\n{commands}\n\n"
         "options:\n  --help    this; `extremal COMMAND --help` explains a command's options\n"

@@ -1,12 +1,8 @@
 """`extremal look`: from rendered frames to curvature with its uncertainty, beside the truth."""
 
 import json
-import os
-import shutil
-import tempfile
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -23,6 +19,7 @@ from rich.table import Table
 
 from extremal.estimator import Camera, InvalidInput, Shape, estimate_shape
 from extremal.scenes import Scene, load_scene
+from extremal.scripts.output import output_folder
 from extremal.scripts.picture import draw
 from extremal.scripts.scoring import Scored, score
 from extremal.sim import LinearMotion, PoseErrors, Recording, Sensor, record
@@ -82,7 +79,7 @@ class Look:
 def look(settings: LookSettings) -> None:
     """Run the whole chain and write result.json, the frames and the labelled picture to `settings.out`."""
     console = Console()
-    with _output(settings.out) as folder:
+    with output_folder(settings.out, "result.json") as folder:
         scene = load_scene(settings.scene)
         with _progress(console) as progress:
             result = take_look(scene, settings, progress)
@@ -91,8 +88,13 @@ def look(settings: LookSettings) -> None:
     console.print(f"wrote {settings.out}/: result.json, look.png and {len(result.recording.views)} frames")
 
 
-def take_look(scene: Scene, settings: LookSettings, progress: Progress | None = None) -> Look:
-    """Record a scene, estimate shape from images and poses alone, and score it."""
+def take_look(
+    scene: Scene, settings: LookSettings, progress: Progress | None = None, workers: int | None = None
+) -> Look:
+    """Record a scene, estimate shape from images and poses alone, and score it.
+
+    `workers` processes render; by default as many as pay.
+    """
     started = time.perf_counter()
     rng = np.random.default_rng(_natural(settings.seed, "--seed"))
     chosen = settings.resolved()
@@ -113,7 +115,8 @@ def take_look(scene: Scene, settings: LookSettings, progress: Progress | None = 
         Sensor(noise=settings.noise),
         errors,
         rng,
-        progress=bar("rendering"),
+        workers,
+        bar("rendering"),
     )
     rendered = time.perf_counter()
     shape = estimate_shape(recording.views, bar("contours"))
@@ -131,40 +134,6 @@ def _natural(value: int, name: str) -> int:
     if value < 0:
         raise InvalidInput(f"{name} is {value}; accepted: a whole number from 0")
     return value
-
-
-@contextmanager
-def _output(out: Path) -> Iterator[Path]:
-    """A temporary folder beside `out` that takes its place when all went well, and vanishes otherwise."""
-    if out.exists() and not (out.is_dir() and (not any(out.iterdir()) or (out / "result.json").exists())):
-        raise InvalidInput(
-            f"--out {out} exists and is no result of look; accepted: a new folder, or one to replace"
-        )
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-    except OSError as error:
-        raise InvalidInput(
-            f"--out {out} can't be written: {error.strerror}; accepted: a writable folder"
-        ) from None
-    try:
-        yield folder
-        folder.chmod(0o777 & ~_umask())
-        if out.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-            os.replace(out, old / out.name)
-            os.replace(folder, out)
-            shutil.rmtree(old)
-        else:
-            os.replace(folder, out)
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def _progress(console: Console) -> Progress:

@@ -15,9 +15,11 @@ Point = dict[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """Estimate and truth of n points (docs/result.md gives the meaning of each field of `points`)."""
+    """Estimate and truth of n points (docs/result.md gives the meaning of each field of `points`), and the true Gaussian
+    curvature (n,) [1/m^2], NaN for fixed features."""
 
     points: list[Point]
+    gaussian_curvature: np.ndarray
 
     def column(self, name: str) -> np.ndarray:
         """Values (n,) or (n, 3) of one field; NaN where it is null."""
@@ -68,7 +70,7 @@ def score(shape: Shape, recording: Recording, scene: Scene) -> Scored:
                 "true_gaussian_sign": _sign(truth.gaussian_curvature[i]) if limb else None,
             }
         )
-    return Scored(points)
+    return Scored(points, truth.gaussian_curvature)
 
 
 def _number(value: float) -> float | None:

@@ -21,6 +21,7 @@ CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
 LEAST_VIEWS = 3
 POOLED = 3  # neighbours on each side along the contour that share their misfit
 LASTING = 0.8  # of the views, the first and the last among them, make a track that lasts the whole sequence
+DRIFT = 0.1  # [px/rad^2] how an edge's bias bends as the view turns about a shaded surface: it enters R as it is
 SHADED = 0.5  # evidence of a limb from which a point is no reference for parallax
 OUTLIER = 4.0  # standard deviations of a ray's residual beyond which its view is dropped
 
@@ -146,10 +147,11 @@ def _misfit(residual: Array, seen: np.ndarray, contour: np.ndarray) -> Array:
 
 def _shape(views: list[View], contours: Contours, tracks: Tracks, fit: _Fit) -> Shape:
     circles, chosen = fit.circles, np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
-    sigma_radius = circles.sigma_radius * np.sqrt(fit.inflation)
+    drift = DRIFT * circles.distances[:, 0] / views[0].camera.fx
+    sigma_radius = np.hypot(circles.sigma_radius * np.sqrt(fit.inflation), drift)
     gradient = pose_gradient(circles, views)
     weight = np.where(fit.seen, circles.radius_gradient, 0.0) * np.where(fit.seen, fit.sigma, 0.0)
-    image_variance = np.sum((weight * circles.distances) ** 2, axis=1) * fit.inflation
+    image_variance = np.sum((weight * circles.distances) ** 2, axis=1) * fit.inflation + drift**2
     extremal = np.abs(circles.radius) > CONFIDENCE * sigma_radius
     limb = np.sum(tracks.limb * tracks.seen, axis=1) / tracks.seen.sum(axis=1)
     reference = _nearest_reference(chosen, extremal, tracks, contours)

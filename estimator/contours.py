@@ -190,7 +190,8 @@ def _through_edgels(
     freedom = np.maximum(1 - variance * weights**2, 0.0)  # what the spline leaves of each edgel's residual
     chi2, _ = window_sum(misfit, contour, SHARED)
     left, _ = window_sum(freedom, contour, SHARED)
-    return splines, np.sqrt(variance * np.maximum(1.0, (chi2 + 1e-3) / (left + 1e-3)))
+    excess = (chi2 + 1e-3) / (left + np.sqrt(2 * left) + 1e-3)  # beyond one standard deviation of chi2
+    return splines, np.sqrt(variance * np.maximum(1.0, excess))
 
 
 def _bend_change(bend: Array, contour: np.ndarray) -> Array:

@@ -21,7 +21,9 @@ CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
 LEAST_VIEWS = 3
 POOLED = 3  # neighbours on each side along the contour that share their misfit
 LASTING = 0.8  # of the views, the first and the last among them, make a track that lasts the whole sequence
-DRIFT = 0.1  # [px/rad^2] how an edge's bias bends as the view turns about a shaded surface: it enters R as it is
+DRIFT = (
+    0.1  # [px/rad^2] how an edge's bias bends as the view turns about a shaded surface: it enters R as it is
+)
 SHADED = 0.5  # evidence of a limb from which a point is no reference for parallax
 OUTLIER = 4.0  # standard deviations of a ray's residual beyond which its view is dropped
 

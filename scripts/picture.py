@@ -12,6 +12,7 @@ from matplotlib.lines import Line2D
 
 from extremal.scripts.scoring import Scored
 
+LOOSE = 10.0  # [mm] sigma up to which R is always plotted
 SPACING = 14.0  # [px] between symbols
 SIGNS = {1: "K > 0", -1: "K < 0"}
 FIXED, CONVEX, SADDLE = "#ff7f0e", "#1f77b4", "#d62728"
@@ -102,9 +103,10 @@ def _against_truth(axes: Axes, scored: Scored) -> None:
     )
     extremal = scored.column("label") == "extremal"
     known = np.isfinite(truth) & np.isfinite(radius) & np.isfinite(sigma)
+    plotted = known & (sigma < np.maximum(LOOSE, 3 * np.median(sigma[known])))
     groups = (
         (known & ~extremal, FIXED, "x", "labelled fixed"),
-        (known & extremal, CONVEX, ".", "labelled extremal"),
+        (plotted & extremal, CONVEX, ".", "labelled extremal"),
     )
     for chosen, colour, marker, label in groups:
         if chosen.any():
@@ -120,8 +122,8 @@ def _against_truth(axes: Axes, scored: Scored) -> None:
                 markersize=4,
                 label=label,
             )
-    values = np.concatenate([truth[known], radius[known]]) if known.any() else np.array([-50.0, 50.0])
-    low, high = np.percentile(values, [1, 99]) * 1.15
+    values = np.concatenate([truth[plotted], radius[plotted]]) if plotted.any() else np.array([-50.0, 50.0])
+    low, high = np.percentile(values, [1, 99]) * 1.15 + (-1, 1)
     axes.plot([low, high], [low, high], color="0.5", linewidth=0.8, zorder=0)
     error = np.abs(radius - truth)[known]
     inside = (error < 1.96 * sigma[known]).mean() if known.any() else np.nan
@@ -130,7 +132,12 @@ def _against_truth(axes: Axes, scored: Scored) -> None:
         ylabel="estimated R [mm], bars: 95 %",
         xlim=(low, high),
         ylim=(low, high),
-        title=f"R against truth: {known.sum()} points, {100 * inside:.0f} % within their bars",
+        title=f"R against truth: {known.sum()} points, {100 * inside:.0f} % within their bars"
+        + (
+            f"\n({(known & ~plotted).sum()} not shown: along epipolar lines R is not known)"
+            if (known & ~plotted).any()
+            else ""
+        ),
     )
     if known.any():
         axes.legend(loc="upper left", fontsize=9)

@@ -10,7 +10,9 @@ from extremal.estimator.camera import Array
 def tangents(centres: Array, p0: Array, radius: Array | float, side: int) -> Array:
     """Rays (V, 2) from centres (V, 2) that touch a circle about p0; side +1 is on the left of its centre."""
     towards = p0 - centres
-    angle = np.arctan2(towards[:, 1], towards[:, 0]) + side * np.arcsin(radius / np.linalg.norm(towards, axis=1))
+    angle = np.arctan2(towards[:, 1], towards[:, 0]) + side * np.arcsin(
+        radius / np.linalg.norm(towards, axis=1)
+    )
     return np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
@@ -20,7 +22,9 @@ def in_space(vectors: Array, rng: np.random.Generator) -> tuple[Array, Array]:
     return vectors @ basis, basis
 
 
-@pytest.mark.parametrize("views, baseline, distance", [(3, 0.1, 0.5), (15, 0.4, 0.6), (60, 0.8, 1.0), (3, 0.002, 0.5)])
+@pytest.mark.parametrize(
+    "views, baseline, distance", [(3, 0.1, 0.5), (15, 0.4, 0.6), (60, 0.8, 1.0), (3, 0.002, 0.5)]
+)
 @pytest.mark.parametrize("side", [1, -1])
 def test_exact_rays_of_a_circle(views: int, baseline: float, distance: float, side: int) -> None:
     rng = np.random.default_rng(views)
@@ -60,7 +64,9 @@ def test_sphere_in_space_gives_the_section_by_the_epipolar_plane() -> None:
     for i in range(50):
         planar = np.stack([centres[:, 0], np.zeros(7)], axis=1)
         p0 = np.array([centre[0], centre @ across[i]])
-        rays[i] = tangents(planar, p0, section[i], 1 if p0[1] > 0 else -1) @ np.array([[1.0, 0, 0], across[i]])
+        rays[i] = tangents(planar, p0, section[i], 1 if p0[1] > 0 else -1) @ np.array(
+            [[1.0, 0, 0], across[i]]
+        )
     circle = osculating_circle(centres, rays, 1e-4)
     np.testing.assert_allclose(np.abs(circle.radius), section, atol=1e-9)
 
@@ -75,7 +81,9 @@ def test_gradient_against_finite_differences(views: int) -> None:
     circle = osculating_circle(centres, rays, sigma)
     step = 1e-6
     for i in range(views):
-        moved = [centres + sign * step * circle.normals[i] * (np.arange(views) == i)[:, None] for sign in (1, -1)]
+        moved = [
+            centres + sign * step * circle.normals[i] * (np.arange(views) == i)[:, None] for sign in (1, -1)
+        ]
         numeric = np.subtract(*(osculating_circle(c, rays, sigma).radius for c in moved)) / (2 * step)
         assert numeric == pytest.approx(circle.radius_gradient[i], rel=2e-4, abs=1e-4)
 
@@ -102,7 +110,11 @@ def test_sigma_by_monte_carlo(views: int, baseline: float, distance: float) -> N
 
 def test_theory_of_the_design_table() -> None:
     """sd of R with known poses: 15.4 mm for 3 views over 100 mm at 500 mm, 1.12 mm for 15 over 400 mm at 600 mm."""
-    for views, baseline, distance, expected in ((3, 0.1, 0.5, 15.4e-3), (15, 0.4, 0.6, 1.12e-3), (60, 0.8, 1.0, 0.75e-3)):
+    for views, baseline, distance, expected in (
+        (3, 0.1, 0.5, 15.4e-3),
+        (15, 0.4, 0.6, 1.12e-3),
+        (60, 0.8, 1.0, 0.75e-3),
+    ):
         centres = np.zeros((views, 3))
         centres[:, 0] = np.linspace(-0.5, 0.5, views) * baseline
         rays = np.zeros((views, 3))

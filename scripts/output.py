@@ -4,7 +4,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from extremal.estimator import InvalidInput
@@ -22,6 +22,7 @@ def output_folder(out: Path, result: str) -> Iterator[Path]:
         raise InvalidInput(
             f"--out {out} exists and holds no {result}; accepted: a new folder, or one to replace"
         )
+    parents = [p for p in (out.parent, *out.parent.parents) if not p.exists()]
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
@@ -39,8 +40,12 @@ def output_folder(out: Path, result: str) -> Iterator[Path]:
             shutil.rmtree(old)
         else:
             os.replace(folder, out)
-    finally:
+    except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
+        for parent in parents:  # those made above, innermost first
+            with suppress(OSError):
+                parent.rmdir()
+        raise
 
 
 def _umask() -> int:

@@ -103,7 +103,7 @@ def _against_truth(axes: Axes, scored: Scored) -> None:
     )
     extremal = scored.column("label") == "extremal"
     known = np.isfinite(truth) & np.isfinite(radius) & np.isfinite(sigma)
-    plotted = known & (sigma < np.maximum(LOOSE, 3 * np.median(sigma[known])))
+    plotted = known & (sigma < np.maximum(LOOSE, 3 * np.median(sigma[known]) if known.any() else 0.0))
     groups = (
         (known & ~extremal, FIXED, "x", "labelled fixed"),
         (plotted & extremal, CONVEX, ".", "labelled extremal"),

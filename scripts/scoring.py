@@ -10,6 +10,8 @@ from extremal.scenes import Scene
 from extremal.sim import Recording
 
 LABELS = {True: "extremal", False: "fixed"}
+TEXTS = {"object", "contour", "label", "true_label"}
+WIDTHS = {"pixel": 2, "position_m": 3, "sigma_position_m": 3, "true_position_m": 3}
 Point = dict[str, Any]
 
 
@@ -22,13 +24,14 @@ class Scored:
     gaussian_curvature: np.ndarray
 
     def column(self, name: str) -> np.ndarray:
-        """Values (n,) or (n, 3) of one field; NaN where it is null."""
+        """Values (n,) or (n, 2 or 3) of one field; NaN or "" where it is null."""
         values = [p[name] for p in self.points]
-        if any(isinstance(v, str) for v in values):
-            return np.array(["" if v is None else v for v in values])
-        width = next((len(v) for v in values if isinstance(v, list)), None)
-        blank = np.nan if width is None else [np.nan] * width
-        return np.array([blank if v is None else v for v in values], float)
+        if name in TEXTS:
+            return np.array([v or "" for v in values], dtype="U250")
+        width = WIDTHS.get(name)
+        if width is None:
+            return np.array([np.nan if v is None else v for v in values], float)
+        return np.array([[np.nan] * width if v is None else v for v in values], float).reshape(-1, width)
 
 
 def score(shape: Shape, recording: Recording, scene: Scene) -> Scored:

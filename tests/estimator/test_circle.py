@@ -175,3 +175,35 @@ def test_batches_broadcast_and_blocks_agree() -> None:
     assert together.radius.shape == (100, 200) and together.normals.shape == (100, 200, 3, 3)
     apart = osculating_circle(centres, rays[12_345], 1e-4)
     assert together.radius.ravel()[12_345] == apart.radius
+
+
+def test_general_motion_converges_by_the_trinocular_approximation() -> None:
+    """Three views on a curved path around a sphere: the error falls as the path shrinks (Vaillant and Faugeras)."""
+    centre, radius = np.array([0.0, 0.0, 0.6]), 0.04
+    errors = []
+    for scale in (0.1, 0.05, 0.025):
+        x = scale * np.array([-0.5, 0.0, 0.5])
+        centres = np.stack([x, 4 * x**2 + x**3, x**2], axis=1)
+        # limb points whose rays meet the plane of the first two centres and the first ray where the surface does
+        plane = np.cross(
+            centres[1] - centres[0], _limb(centres[0], centre, radius, np.array([0, 1.0, 0.02])) - centres[0]
+        )
+        plane /= np.linalg.norm(plane)
+        points = np.array([_limb(v, centre, radius, plane, centres[0]) for v in centres])
+        rays = points - centres
+        circle = osculating_circle(centres, rays / np.linalg.norm(rays, axis=1, keepdims=True), 1e-4)
+        section = np.sqrt(radius**2 - (plane @ (centre - centres[0])) ** 2)
+        errors.append(abs(abs(float(circle.radius)) - section))
+    assert errors[0] < 0.15 * radius
+    assert errors[2] < 0.5 * errors[0]
+
+
+def _limb(v: Array, centre: Array, radius: float, plane: Array, through: Array | None = None) -> Array:
+    """Contour point of a sphere, on the +x side, as seen from v: in the plane with that normal through a point (or v)."""
+    through = v if through is None else through
+    p = centre + np.array([radius, 0.0, 0.0])
+    for _ in range(50):
+        away = p - centre
+        value = np.array([away @ away - radius**2, away @ (p - v), plane @ (p - through)])
+        p = p - np.linalg.solve(np.stack([2 * away, away + p - v, plane]), value)
+    return p

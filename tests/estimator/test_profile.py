@@ -14,7 +14,7 @@ SPREAD = float(np.sqrt(BLUR**2 + PIXEL_VARIANCE))
 def profiles(edge: Array, coefficients: tuple[float, ...], side: int, rng: np.random.Generator) -> Array:
     """Level 100 and step, square root, slope inside, at an edge (n,), with the noise of a mean of ROWS lines."""
     s = side * (offsets() - edge[:, None])
-    exact = 100 + sum(c * blurred_power(s, k, SPREAD) for k, c in enumerate(coefficients))
+    exact = 100 + np.sum([c * blurred_power(s, k, SPREAD) for k, c in enumerate(coefficients)], axis=0)
     return exact + rng.normal(size=exact.shape) * NOISE / np.sqrt(ROWS)
 
 

@@ -15,7 +15,7 @@ from extremal.estimator.splines import DEGREE, Splines, arc_length, fit, knots
 
 ROWS = 5  # lines across the contour, 1 px apart, that are averaged for one edgel
 FIRST_SPACING = 8.0  # [px] knots of the splines through the detected pixels
-SPACING = 24.0  # [px] knots of the splines through the edgels, closer where a contour is bent:
+SPACING = 16.0  # [px] knots of the splines through the edgels, closer where a contour is bent:
 BEND_SPACING = 1.2  # times radius^(3/4): a cubic is then within 0.005 px of a circle
 SHARED = 4  # edgels on each side that share their misfit to the spline
 LONGEST_GAP = 3  # edgels that a contour may miss in a row
@@ -24,6 +24,7 @@ SUBPIXEL = 32  # cv2.remap quantises coordinates to this fraction of a pixel: as
 SYSTEMATIC = (
     0.0065  # [px] what models of shading leave, alike in neighbouring edgels: no spline averages it out
 )
+RIVAL = 0.45  # of an edge's own gradient, from which an edge beside it counts
 CROWDED = 0.05  # [px] the same with another edge within the profile
 KINK = 1.5  # [px^2] error of the spline per change of curvature [1/px] within 5 px to each side
 LARGEST_SIGMA = 0.7  # [px] an edgel that is known less well is no edgel
@@ -79,13 +80,15 @@ def _through_pixels(chains: Chains) -> Splines:
     return fit(u, chains.positions, np.ones(len(u)), t, breaks, u[:1])[0]
 
 
-def _localised(grey: np.ndarray, curves: Splines, mask: np.ndarray, noise: float, camera: Camera) -> Contours:
+def _localised(
+    grey: np.ndarray, curves: Splines, gradient: np.ndarray, noise: float, camera: Camera
+) -> Contours:
     """Edgels from profiles across the curves, and the splines through them."""
     u, contour = _window_starts(curves)
     lines = u[:, None] + np.arange(ROWS) + 0.5
     position, _, normal, curvature = curves.frame(lines)
     profiles = _profiles(grey, position, normal)
-    clear = _clearance(mask, position, normal)
+    clear = _clearance(gradient, position, normal)
     edges = fit_profiles(profiles, noise, ROWS, camera.blur, contour, clear)
     middle, bend = normal[:, ROWS // 2], curvature.mean(axis=1)
     # blur draws a curved edge towards its centre of curvature
@@ -143,15 +146,18 @@ def _profiles(grey: np.ndarray, position: Array, normal: Array) -> Array:
     return mean - slope * moved.mean(axis=1)
 
 
-def _clearance(mask: np.ndarray, position: Array, normal: Array) -> Array:
+def _clearance(edges: np.ndarray, position: Array, normal: Array) -> Array:
     """Distance (n,) [px] along the normals of the lines (n, ROWS, 2) to the nearest edge beside this one; else far.
 
-    An edge that crosses the window meets single lines; one that runs beside the contour meets nearly all of them.
+    An edge that crosses the window meets single lines; one that runs beside the contour meets nearly all of them. The
+    shading of a limb may pass for an edge, too, but for a faint one.
     """
     s = offsets()
     at = np.rint(position[..., None, :] + s[:, None] * normal[..., None, :]).astype(int)
-    height, width = mask.shape
-    hit = mask[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)] > 0
+    height, width = edges.shape
+    gradient = edges[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]
+    own = gradient[..., np.abs(s) < 3].max(axis=2).mean(axis=1)
+    hit = gradient > RIVAL * own[:, None, None]
     hit[..., np.abs(s) < 3] = False  # these may be the contour's own pixels
     lines = (hit[..., :-1] | hit[..., 1:]).sum(axis=1)
     beside = np.maximum(np.pad(lines, ((0, 0), (0, 1))), np.pad(lines, ((0, 0), (1, 0)))) >= ROWS - 1

@@ -9,7 +9,7 @@ from extremal.estimator.camera import Array
 
 SMOOTHING = 1.0  # [px] Gaussian before differentiation
 GAIN = 8.0  # Sobel response to a slope of one grey level per pixel
-CORNER = np.deg2rad(30.0)  # turn over 2 * CORNER_REACH px at which a chain is broken
+CORNER = np.deg2rad(20.0)  # turn over 2 * CORNER_REACH px at which a chain is broken
 CORNER_REACH = 5
 SHORTEST = 12  # [px]
 
@@ -18,8 +18,8 @@ SHORTEST = 12  # [px]
 class Chains:
     """Edge pixels in order: positions (n, 2) [px] to about 0.1 px, and the chain (n,) of each, non-decreasing.
 
-    Each chain is directed so that the brighter side lies to its left as seen in the image (x right, y down). `edges` is
-    the mask (height, width) of all edge pixels, those of no chain included.
+    Each chain is directed so that the brighter side lies to its left as seen in the image (x right, y down). `edges`
+    (height, width) is the gradient at all edge pixels, those of no chain included, and 0 elsewhere.
     """
 
     positions: Array
@@ -51,7 +51,7 @@ def detect_chains(grey: np.ndarray, noise: float) -> Chains:
     pixels, chain = _link(_without_junctions(edges))
     positions = _subpixel(pixels, dx, dy)
     positions, chain = _split_at_corners(positions, chain)
-    return _directed(positions, chain, dx, dy, edges)
+    return _directed(positions, chain, dx, dy, np.where(edges > 0, np.hypot(dx, dy), 0.0))
 
 
 _RING = np.array([[1, 2, 4], [128, 0, 8], [64, 32, 16]], np.float32)

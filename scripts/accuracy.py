@@ -36,7 +36,7 @@ class AccuracySettings:
     edges: bool = True
     """also measure the localisation of edges alone"""
     out: Path = Path("out/accuracy")
-    """folder that is written (and replaced)"""
+    """folder that is written; what was there of the same names is replaced"""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def accuracy(settings: AccuracySettings) -> None:
     load_scene(settings.scene)
     console = Console()
     with (
-        output_folder(settings.out, "accuracy.json") as folder,
+        output_folder(settings.out) as folder,
         Progress(console=console, transient=True) as progress,
     ):
         rays = ray_accuracy()

@@ -56,7 +56,7 @@ class LookSettings:
     seed: int = 0
     """of camera steps, noise and pose errors"""
     out: Path = Path("out/look")
-    """folder that is written (and replaced)"""
+    """folder that is written; what was there of the same names is replaced"""
 
     def resolved(self) -> dict[str, Any]:
         """The settings in full, as in result.json."""
@@ -79,7 +79,7 @@ class Look:
 def look(settings: LookSettings) -> None:
     """Run the whole chain and write result.json, the frames and the labelled picture to `settings.out`."""
     console = Console()
-    with output_folder(settings.out, "result.json") as folder:
+    with output_folder(settings.out) as folder:
         scene = load_scene(settings.scene)
         with _progress(console) as progress:
             result = take_look(scene, settings, progress)

@@ -1,4 +1,4 @@
-"""Folders of results that appear whole or not at all."""
+"""Folders of results: each result appears whole or not at all."""
 
 import os
 import shutil
@@ -11,35 +11,31 @@ from extremal.estimator import InvalidInput
 
 
 @contextmanager
-def output_folder(out: Path, result: str) -> Iterator[Path]:
-    """A temporary folder beside `out` that takes its place when all went well, and vanishes otherwise.
+def output_folder(out: Path) -> Iterator[Path]:
+    """A temporary folder beside `out`, whose contents take their places in `out` when all went well.
 
-    An existing `out` is replaced only if it is empty or holds the file `result`.
+    Contents of an existing `out` are replaced where they have the same names and left alone otherwise. When the block
+    raises, nothing is left behind.
 
     Raises InvalidInput where `out` can't be written.
     """
-    if out.exists() and not (out.is_dir() and (not any(out.iterdir()) or (out / result).exists())):
-        raise InvalidInput(
-            f"--out {out} exists and holds no {result}; accepted: a new folder, or one to replace"
-        )
     parents = [p for p in (out.parent, *out.parent.parents) if not p.exists()]
     try:
+        if out.exists() and not out.is_dir():
+            raise NotADirectoryError(0, "it is a file")
+        if out.is_dir() and not os.access(out, os.W_OK):
+            raise PermissionError(0, "permission denied")
         out.parent.mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     except OSError as error:
-        raise InvalidInput(
-            f"--out {out} can't be written: {error.strerror}; accepted: a writable folder"
-        ) from None
+        reason = (error.strerror or str(error)).lower()
+        raise InvalidInput(f"--out {out} can't be written: {reason}; accepted: a writable folder") from None
     try:
         yield folder
-        folder.chmod(0o777 & ~_umask())
-        if out.exists():
-            old = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
-            os.replace(out, old / out.name)
-            os.replace(folder, out)
-            shutil.rmtree(old)
-        else:
-            os.replace(folder, out)
+        out.mkdir(exist_ok=True)
+        for made in sorted(folder.iterdir(), key=lambda path: path.is_file()):  # folders first, results last
+            _replace(made, out / made.name, folder)
+        shutil.rmtree(folder)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         for parent in parents:  # those made above, innermost first
@@ -48,7 +44,7 @@ def output_folder(out: Path, result: str) -> Iterator[Path]:
         raise
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _replace(made: Path, place: Path, aside: Path) -> None:
+    if place.is_dir():
+        os.replace(place, aside / f".old-{place.name}")
+    os.replace(made, place)

@@ -236,7 +236,6 @@ def assert_refused(folder: Path, done: Done, before: dict[str, bytes]) -> str:
         (("--quality", "best"), ("'best'", "preview, standard, metrology")),
         (("--out", "file"), ("file",)),
         (("--out", "file/below"), ("file/below", "written")),
-        (("--out", "foreign"), ("foreign",)),
     ],
     ids=lambda value: " ".join(value) if value and value[0].startswith("--") else "",
 )
@@ -276,6 +275,19 @@ def test_missing_opengl_is_one_line_and_leaves_nothing(
 def test_a_refusal_leaves_no_parent_folders(folder: Path, here: Command) -> None:
     before = content(folder)
     assert_refused(folder, here(folder, "--scene", "vase", "--out", "new/deeper/result"), before)
+
+
+def test_what_else_lies_in_the_folder_is_left_alone(folder: Path, here: Command) -> None:
+    assert here(folder, "--out", "foreign").status == 0
+    assert (folder / "foreign" / "thesis.txt").read_text() == "years of work"
+    assert {p.name for p in (folder / "foreign").iterdir()} == {
+        "thesis.txt",
+        "result.json",
+        "look.png",
+        "frames",
+    }
+    assert here(folder, "--out", "foreign", "--views", "4").status == 0
+    assert len(list((folder / "foreign" / "frames").iterdir())) == 4
 
 
 def test_a_scene_without_anything_in_sight_has_no_points(folder: Path, here: Command) -> None:

@@ -12,9 +12,10 @@ from extremal.estimator.camera import Array, View
 from extremal.estimator.circle import OsculatingCircle, osculating_circle
 from extremal.estimator.contours import Contours, find_contours
 from extremal.estimator.epipolar import Sequence3D
+from extremal.estimator.matching import EdgelMap, reach_of
 from extremal.estimator.pooling import window_sum
 from extremal.estimator.section import varying_sections
-from extremal.estimator.tracking import EdgelMap, Tracks, reach_of, track
+from extremal.estimator.tracking import Tracks, track
 from extremal.estimator.uncertainty import pose_angle_sigma, pose_gradient, relative_radius
 
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)

@@ -25,6 +25,8 @@ SYSTEMATIC = (
     0.0065  # [px] what models of shading leave, alike in neighbouring edgels: no spline averages it out
 )
 RIVAL = 0.45  # of an edge's own gradient, from which an edge beside it counts
+CLEAR = 0.06  # [px] sigma above which an edgel hangs on its model of shading, which neighbours share
+FAINT = 0.8  # of what lies above, that no spline averages out
 CROWDED = 0.05  # [px] the same with another edge within the profile
 KINK = 1.5  # [px^2] error of the spline per change of curvature [1/px] within 5 px to each side
 LARGEST_SIGMA = 0.7  # [px] an edgel that is known less well is no edgel
@@ -103,7 +105,8 @@ def _localised(
     position, _, normal, bend = splines.frame(u)
     systematic = np.where(clear[keep] <= HALF_WIDTH, CROWDED, SYSTEMATIC)
     kink = KINK * _bend_change(bend, contour)
-    spline_sigma = np.sqrt(spline_sigma**2 + systematic**2 + edges.ambiguity[keep] ** 2 + kink**2)
+    faint = FAINT * np.maximum(sigma - CLEAR, 0.0)
+    spline_sigma = np.sqrt(spline_sigma**2 + systematic**2 + edges.ambiguity[keep] ** 2 + kink**2 + faint**2)
     return Contours(
         splines,
         u,

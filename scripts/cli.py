@@ -99,3 +99,7 @@ def _one_line(box: str) -> str:
 
 def _complain(message: str) -> None:
     print(f"extremal: error: {' '.join(message.split())}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    main()

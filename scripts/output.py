@@ -34,7 +34,7 @@ def output_folder(out: Path) -> Iterator[Path]:
         yield folder
         out.mkdir(exist_ok=True)
         for made in sorted(folder.iterdir(), key=lambda path: path.is_file()):  # folders first, results last
-            _replace(made, out / made.name, folder)
+            _place(made, out / made.name)
         shutil.rmtree(folder)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
@@ -44,7 +44,13 @@ def output_folder(out: Path) -> Iterator[Path]:
         raise
 
 
-def _replace(made: Path, place: Path, aside: Path) -> None:
-    if place.is_dir():
-        os.replace(place, aside / f".old-{place.name}")
-    os.replace(made, place)
+def _place(made: Path, place: Path) -> None:
+    """Move a file or a folder of numbered frames; of an existing folder, only its numbered frames are replaced."""
+    if made.is_file() or not place.is_dir():
+        os.replace(made, place)
+        return
+    for old in place.glob("*.png"):
+        if old.stem.isdigit():
+            old.unlink()
+    for item in made.iterdir():
+        os.replace(item, place / item.name)

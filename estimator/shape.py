@@ -26,6 +26,7 @@ DRIFT = (
     0.1  # [px/rad^2] how an edge's bias bends as the view turns about a shaded surface: it enters R as it is
 )
 SHADED = 0.5  # evidence of a limb from which a point is no reference for parallax
+REFERENCES = 1 / 3  # of the fixed points, the best known, serve as references for parallax
 OUTLIER = 4.0  # standard deviations of a ray's residual beyond which its view is dropped
 
 
@@ -91,7 +92,7 @@ def estimate_shape(views: Sequence[View], progress: Callable[[int, int], None] |
         tracks = track(sequence, contours, maps, reference)
         order = np.array([reference, *(i for i in range(len(views)) if i != reference)])
         ordered = [views[i] for i in order]
-        return _shape(ordered, contours[reference], tracks, _fit_circles(ordered, sequence, tracks, order))
+        return _shape(ordered, tracks, _fit_circles(ordered, sequence, tracks, order))
 
 
 def _all_contours(
@@ -148,7 +149,7 @@ def _misfit(residual: Array, seen: np.ndarray, contour: np.ndarray) -> Array:
     return np.maximum(1.0, pooled / np.maximum(count, 1.0))
 
 
-def _shape(views: list[View], contours: Contours, tracks: Tracks, fit: _Fit) -> Shape:
+def _shape(views: list[View], tracks: Tracks, fit: _Fit) -> Shape:
     circles, chosen = fit.circles, np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
     drift = DRIFT * circles.distances[:, 0] / views[0].camera.fx
     sigma_radius = np.hypot(circles.sigma_radius * np.sqrt(fit.inflation), drift)
@@ -157,7 +158,7 @@ def _shape(views: list[View], contours: Contours, tracks: Tracks, fit: _Fit) -> 
     image_variance = np.sum((weight * circles.distances) ** 2, axis=1) * fit.inflation + drift**2
     extremal = np.abs(circles.radius) > CONFIDENCE * sigma_radius
     limb = np.sum(tracks.limb * tracks.seen, axis=1) / tracks.seen.sum(axis=1)
-    reference = _nearest_reference(chosen, extremal, tracks, contours)
+    reference = _nearest_reference(chosen[~extremal[chosen]], image_variance, tracks)
     ok = reference >= 0
     relative, sigma_relative = np.full(len(ok), np.nan), np.full(len(ok), np.inf)
     relative[ok], sigma_relative[ok] = relative_radius(
@@ -194,14 +195,16 @@ def _lasting(seen: np.ndarray) -> np.ndarray:
     return seen[:, 0] & seen[:, -1] & (seen.mean(axis=1) >= LASTING)
 
 
-def _nearest_reference(
-    chosen: np.ndarray, extremal: np.ndarray, tracks: Tracks, contours: Contours
-) -> np.ndarray:
-    """Index (n,) of the nearest point in the image that is fixed and on another contour; -1 where there is none."""
-    reference = np.full(len(extremal), -1)
-    fixed = chosen[~extremal[chosen] & (np.abs(tracks.limb[chosen]).mean(axis=1) < SHADED)]
+def _nearest_reference(fixed: np.ndarray, image_variance: Array, tracks: Tracks) -> np.ndarray:
+    """Index (n,) of the nearest fixed point in the image on another contour, -1 without; rows `fixed` (k,) are fixed.
+
+    Only the better known third of them serve: what is uncertain in the reference enters every difference.
+    """
+    reference = np.full(len(image_variance), -1)
+    fixed = fixed[np.abs(tracks.limb[fixed]).mean(axis=1) < SHADED]
     if len(fixed) == 0:
         return reference
+    fixed = fixed[image_variance[fixed] <= np.quantile(image_variance[fixed], REFERENCES)]
     at = tracks.pixels[:, tracks.reference]
     distance = np.linalg.norm(at[:, None] - at[fixed], axis=2)
     distance[tracks.contour[:, None] == tracks.contour[fixed]] = np.inf

@@ -29,7 +29,8 @@ def varying_sections(circles: OsculatingCircle, weight: Array, contour: np.ndarr
     """
     columns = _columns(circles)
     least = (np.count_nonzero(weight, axis=1) >= 7) & circles.valid
-    chi2, solutions = [np.sum((weight * circles.residuals) ** 2, axis=1)], []
+    chi2: list[Array] = [np.sum((weight * circles.residuals) ** 2, axis=1)]
+    solutions = []
     for order in (1, 2):
         solved = _solve(columns[..., : 3 + order], weight, circles.residuals, least)
         solutions.append(solved)

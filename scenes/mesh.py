@@ -97,10 +97,10 @@ class Mesh(Surface):
         return np.array(self._mesh.vertex_normals)
 
     @cached_property
-    def _centroids(self) -> tuple[Any, Array]:
+    def _centroids(self) -> tuple[Any, float]:
         """Tree of the triangles' centroids, and the largest distance from a centroid to its corners."""
         centroids = self._corners.mean(axis=1)
-        return cKDTree(centroids), np.linalg.norm(self._corners - centroids[:, None], axis=2).max()
+        return cKDTree(centroids), float(np.linalg.norm(self._corners - centroids[:, None], axis=2).max())
 
     @property
     def _grazing_margin(self) -> float:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.special import erf, ndtr
+from scipy.special import ndtr
 
 from extremal.estimator.camera import Array
 from extremal.estimator.pooling import window_sum
@@ -33,7 +33,10 @@ class Model:
     powers: tuple[int, ...]  # of sqrt(s) inside: 1 is the limb, 2 a slope
     slope_outside: bool
     side: int  # +1: inside lies at positive offsets
-    limb: bool
+
+    @property
+    def limb(self) -> bool:
+        return 1 in self.powers
 
     @property
     def parameters(self) -> int:
@@ -41,9 +44,9 @@ class Model:
 
 
 MODELS = (
-    Model((), False, 1, False),
-    Model((2,), True, 1, False),
-    *(Model((1, 2), slope, side, True) for slope in (False, True) for side in (1, -1)),
+    Model((), False, 1),
+    Model((2,), True, 1),
+    *(Model((1, 2), slope, side) for slope in (False, True) for side in (1, -1)),
 )
 COLUMNS = max(m.parameters for m in MODELS) - 1
 
@@ -82,7 +85,7 @@ def blurred_power(s: Array, power: int, spread: float) -> Array:
 def _columns(model: Model, at: Array, spread: float) -> Array:
     inside = [blurred_power(model.side * at, k, spread) for k in model.powers]
     outside = [blurred_power(-model.side * at, 2, spread)] if model.slope_outside else []
-    return np.stack([np.ones_like(at), 0.5 * (1 + erf(at / spread / np.sqrt(2))), *inside, *outside], axis=-1)
+    return np.stack([np.ones_like(at), blurred_power(at, 0, spread), *inside, *outside], axis=-1)
 
 
 @lru_cache(maxsize=16)

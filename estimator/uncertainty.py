@@ -9,7 +9,19 @@ from extremal.estimator.circle import OsculatingCircle
 
 
 def pose_gradient(circles: OsculatingCircle, views: Sequence[View]) -> Array:
-    """Change (n, V, 6) of R per pose error of each view: translation [m] and rotation vector [rad] in the camera frame.
+    """Change (n, V, 6) of R per pose error of each view: translation [m] and rotation vector [rad] in the camera frame."""
+    return circles.radius_gradient[..., None] * _support_gradient(circles, views)
+
+
+def pose_angle_sigma(circles: OsculatingCircle, views: Sequence[View]) -> Array:
+    """Angle (n, V) [rad] in the epipolar plane by which the poses' uncertainty moves each ray at its contact point."""
+    covariance = np.array([v.pose_covariance for v in views])
+    gradient = _support_gradient(circles, views) / np.maximum(circles.distances, 1e-6)[..., None]
+    return np.sqrt(np.einsum("nvi,vij,nvj->nv", gradient, covariance, gradient))
+
+
+def _support_gradient(circles: OsculatingCircle, views: Sequence[View]) -> Array:
+    """Displacement (n, V, 6) of each ray along N_i, at its contact point, per pose error of its view.
 
     A translation t moves the support of ray i by N_i . t; a rotation w turns the ray, which at distance lambda_i moves
     it by -lambda_i (m . w) along N_i, with m the normal of the epipolar plane.
@@ -17,19 +29,7 @@ def pose_gradient(circles: OsculatingCircle, views: Sequence[View]) -> Array:
     rotations = np.array([v.T_world_camera.rotation.as_matrix() for v in views])
     translation = np.einsum("nvk,vkj->nvj", circles.normals, rotations)
     rotation = -circles.distances[..., None] * np.einsum("nk,vkj->nvj", circles.plane_normals, rotations)
-    return circles.radius_gradient[..., None] * np.concatenate([translation, rotation], axis=-1)
-
-
-def pose_angle_sigma(circles: OsculatingCircle, views: Sequence[View]) -> Array:
-    """Angle (n, V) [rad] in the epipolar plane by which the poses' uncertainty moves each ray at its contact point."""
-    rotations = np.array([v.T_world_camera.rotation.as_matrix() for v in views])
-    covariance = np.array([v.pose_covariance for v in views])
-    translation = (
-        np.einsum("nvk,vkj->nvj", circles.normals, rotations) / np.maximum(circles.distances, 1e-6)[..., None]
-    )
-    rotation = -np.einsum("nk,vkj->nvj", circles.plane_normals, rotations)
-    gradient = np.concatenate([translation, rotation], axis=-1)
-    return np.sqrt(np.einsum("nvi,vij,nvj->nv", gradient, covariance, gradient))
+    return np.concatenate([translation, rotation], axis=-1)
 
 
 def relative_radius(

@@ -147,7 +147,7 @@ class _Solver:
 
     def solve(self, u: Array) -> tuple[_State, bool, int]:
         # twice at the start: the first pass finds where the planes touch, from which distances and lever arms follow
-        plain = [np.ones(f.sigma.shape) for f in self.features]
+        plain: list[Array] = [np.ones(f.sigma.shape) for f in self.features]
         state = self.evaluate(u, [np.zeros((len(f), f.width)) for f in self.features], plain)
         state = self.evaluate(u, self.thetas(state), plain)
         if len(u) == 0:

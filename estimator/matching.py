@@ -48,12 +48,13 @@ class EdgelMap:
 @dataclass(frozen=True, eq=False)
 class Crossings:
     """Crossings (n) of contours with epipolar planes: pixels, directions (n, 3) in the world to their brighter sides,
-    rays, in-plane sigma [rad], limb, curvature."""
+    rays, normals (n, 3) of the tangent planes, in-plane sigma [rad], limb, curvature."""
 
     found: np.ndarray
     directions: Array
     pixels: Array
     rays: Array
+    tangent_planes: Array
     sigma: Array
     limb: Array
     curvature: Array
@@ -82,7 +83,9 @@ def cross(
         n = len(points)
         nothing = np.zeros(n)
         blank = np.zeros((n, 3))
-        return Crossings(nothing > 0, blank, blank[:, :2], blank + 1.0, nothing + np.inf, nothing, nothing)
+        return Crossings(
+            nothing > 0, blank, blank[:, :2], blank + 1.0, blank, nothing + np.inf, nothing, nothing
+        )
     index = np.maximum(index, 0)
     contour = contours.contour[index]
     centre, distance = sequence.centres[view], np.linalg.norm(points - sequence.centres[view], axis=1)
@@ -100,7 +103,9 @@ def cross(
     position, _, normal, curvature = contours.splines.frame(u)
     rays = sequence.rays(view, position)
     error = height + distance * np.einsum("nk,nk->n", planes.normal, rays)
-    _, _, sigma = in_plane_sigma(sequence, view, position, normal, rays, planes, contours.sigma_at(u))
+    tangent_planes, _, sigma = in_plane_sigma(
+        sequence, view, position, normal, rays, planes, contours.sigma_at(u)
+    )
     wanted = direction @ sequence.rotations[view][:, :2]
     found &= loose | (np.abs(error) < 0.05 * distance / sequence.cameras[view].fx)
     found &= np.sum(wanted * normal, axis=1) > ALIKE * np.linalg.norm(wanted, axis=1)
@@ -109,7 +114,14 @@ def cross(
     nearest = np.clip(np.searchsorted(contours.u, u), 0, len(contours.u) - 1)
     directions = normal @ sequence.rotations[view][:, :2].T
     return Crossings(
-        found, directions, position, rays, np.where(found, sigma, np.inf), contours.limb[nearest], curvature
+        found,
+        directions,
+        position,
+        rays,
+        tangent_planes,
+        np.where(found, sigma, np.inf),
+        contours.limb[nearest],
+        curvature,
     )
 
 

@@ -92,7 +92,7 @@ def estimate_shape(views: Sequence[View], progress: Callable[[int, int], None] |
         tracks = track(sequence, contours, maps, reference)
         order = np.array([reference, *(i for i in range(len(views)) if i != reference)])
         ordered = [views[i] for i in order]
-        return _shape(ordered, tracks, _fit_circles(ordered, sequence, tracks, order))
+        return _shape(ordered, tracks, _fit_circles(ordered, sequence, tracks, order), order)
 
 
 def _all_contours(
@@ -124,7 +124,8 @@ def _fit_circles(views: list[View], sequence: Sequence3D, tracks: Tracks, order:
     centres, rays, sigma = sequence.centres[order], tracks.rays[:, order], tracks.sigma[:, order]
     seen = tracks.seen[:, order].copy()
     circles = osculating_circle(centres, rays, sigma, tracks.planes.normal)
-    total = np.hypot(sigma, pose_angle_sigma(circles, views))
+    tangent_planes = tracks.tangent_planes[:, order]
+    total = np.hypot(sigma, pose_angle_sigma(circles, views, tangent_planes))
     for _ in range(2):
         residual = np.where(
             seen, np.abs(circles.residuals) / (total * np.maximum(circles.distances, 1e-6)), 0.0
@@ -149,11 +150,11 @@ def _misfit(residual: Array, seen: np.ndarray, contour: np.ndarray) -> Array:
     return np.maximum(1.0, pooled / np.maximum(count, 1.0))
 
 
-def _shape(views: list[View], tracks: Tracks, fit: _Fit) -> Shape:
+def _shape(views: list[View], tracks: Tracks, fit: _Fit, order: np.ndarray) -> Shape:
     circles, chosen = fit.circles, np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
     drift = DRIFT * circles.distances[:, 0] / views[0].camera.fx
     sigma_radius = np.hypot(circles.sigma_radius * np.sqrt(fit.inflation), drift)
-    gradient = pose_gradient(circles, views)
+    gradient = pose_gradient(circles, views, tracks.tangent_planes[:, order])
     weight = np.where(fit.seen, circles.radius_gradient, 0.0) * np.where(fit.seen, fit.sigma, 0.0)
     image_variance = np.sum((weight * circles.distances) ** 2, axis=1) * fit.inflation + drift**2
     extremal = np.abs(circles.radius) > CONFIDENCE * sigma_radius
@@ -172,7 +173,7 @@ def _shape(views: list[View], tracks: Tracks, fit: _Fit) -> Shape:
         contour=tracks.contour[chosen],
         pixels=tracks.pixels[chosen, tracks.reference],
         rays=tracks.rays[chosen, tracks.reference],
-        tangent_planes=tracks.tangent_planes[chosen],
+        tangent_planes=tracks.tangent_planes[chosen, tracks.reference],
         epipolar_planes=tracks.planes.normal[chosen],
         radius=circles.radius[chosen],
         sigma_radius=sigma_radius[chosen],

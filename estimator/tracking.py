@@ -38,7 +38,8 @@ class Tracks:
         reference: the view in which the points were chosen.
         contour: (n,) the reference view's contour on which each lies, non-decreasing.
         tangents: (n, 2) unit tangents [px] of that contour, its brighter side to their left.
-        tangent_planes: (n, 3) unit normals of the tangent planes in the reference view.
+        tangent_planes: (n, V, 3) unit normals of the tangent planes, of any sign; those of the epipolar planes where the
+            point was not seen.
         ahead: (n,) component along the travel of the direction to the contour's brighter side.
         planes: their epipolar planes.
         seen: (n, V) whether the point was found in a view.
@@ -82,6 +83,7 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
             direction,
             edgels.positions[chosen],
             rays,
+            tangent_planes[chosen],
             sigma,
             edgels.limb[chosen],
             edgels.curvature[chosen],
@@ -104,7 +106,7 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
         ok = crossing.found & (np.abs(state.innovation(sequence.centres[view], points, crossing.rays)) < gate)
         state.update(ok, sequence.centres[view], crossing.rays, sigma, points)
         latest[ahead] = np.where(ok[:, None], crossing.directions, latest[ahead])
-        columns.append(_where_seen(ok, crossing, sequence, view, points))
+        columns.append(_where_seen(ok, crossing, sequence, view, points, planes))
     back = np.argsort(order)
     stacked = {
         f.name: np.stack([getattr(c, f.name) for c in columns], axis=1)[:, back] for f in fields(Crossings)
@@ -113,7 +115,7 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
         reference,
         edgels.contour[chosen],
         np.stack([-edgels.normals[chosen, 1], edgels.normals[chosen, 0]], axis=1),
-        tangent_planes[chosen],
+        stacked["tangent_planes"],
         direction @ sequence.travel,
         planes,
         stacked["found"],
@@ -158,7 +160,12 @@ def _sweep(
 
 
 def _where_seen(
-    ok: np.ndarray, crossing: Crossings, sequence: Sequence3D, view: int, points: Array
+    ok: np.ndarray,
+    crossing: Crossings,
+    sequence: Sequence3D,
+    view: int,
+    points: Array,
+    planes: EpipolarPlanes,
 ) -> Crossings:
     """The crossing where it passed the gate, elsewhere the prediction with infinite sigma."""
     expected = points - sequence.centres[view]
@@ -168,6 +175,7 @@ def _where_seen(
         crossing.directions,
         np.where(ok[:, None], crossing.pixels, sequence.project(view, points)),
         np.where(ok[:, None], crossing.rays, expected),
+        np.where(ok[:, None], crossing.tangent_planes, planes.normal),
         np.where(ok, crossing.sigma, np.inf),
         np.where(ok, crossing.limb, 0.0),
         np.where(ok, crossing.curvature, 0.0),

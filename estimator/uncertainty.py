@@ -7,29 +7,46 @@ import numpy as np
 from extremal.estimator.camera import Array, View
 from extremal.estimator.circle import OsculatingCircle
 
-
-def pose_gradient(circles: OsculatingCircle, views: Sequence[View]) -> Array:
-    """Change (n, V, 6) of R per pose error of each view: translation [m] and rotation vector [rad] in the camera frame."""
-    return circles.radius_gradient[..., None] * _support_gradient(circles, views)
+STEEPEST = 1e-3  # sine of the angle between contour and epipolar line, below which it counts as this
 
 
-def pose_angle_sigma(circles: OsculatingCircle, views: Sequence[View]) -> Array:
+def pose_gradient(
+    circles: OsculatingCircle, views: Sequence[View], tangent_planes: Array | None = None
+) -> Array:
+    """Change (n, V, 6) of R per pose error of each view: translation [m] and rotation vector [rad] in the camera frame.
+
+    `tangent_planes` (n, V, 3) are the unit normals, of any sign, of the planes through each ray and the contour's tangent;
+    by default they are perpendicular to the epipolar planes.
+    """
+    return circles.radius_gradient[..., None] * _support_gradient(circles, views, tangent_planes)
+
+
+def pose_angle_sigma(
+    circles: OsculatingCircle, views: Sequence[View], tangent_planes: Array | None = None
+) -> Array:
     """Angle (n, V) [rad] in the epipolar plane by which the poses' uncertainty moves each ray at its contact point."""
     covariance = np.array([v.pose_covariance for v in views])
-    gradient = _support_gradient(circles, views) / np.maximum(circles.distances, 1e-6)[..., None]
+    gradient = _support_gradient(circles, views, tangent_planes)
+    gradient /= np.maximum(circles.distances, 1e-6)[..., None]
     return np.sqrt(np.einsum("nvi,vij,nvj->nv", gradient, covariance, gradient))
 
 
-def _support_gradient(circles: OsculatingCircle, views: Sequence[View]) -> Array:
-    """Displacement (n, V, 6) of each ray along N_i, at its contact point, per pose error of its view.
+def _support_gradient(
+    circles: OsculatingCircle, views: Sequence[View], tangent_planes: Array | None
+) -> Array:
+    """Displacement (n, V, 6) along N_i of where each tangent plane cuts the epipolar plane, per pose error of its view.
 
-    A translation t moves the support of ray i by N_i . t; a rotation w turns the ray, which at distance lambda_i moves
-    it by -lambda_i (m . w) along N_i, with m the normal of the epipolar plane.
+    At the contact point r a pose error moves the tangent plane by n . (t + w x (r - v)) along its own normal n, and so its
+    trace in the epipolar plane by that over n . N_i: where a contour is tilted, motion out of the plane counts, too.
     """
     rotations = np.array([v.T_world_camera.rotation.as_matrix() for v in views])
-    translation = np.einsum("nvk,vkj->nvj", circles.normals, rotations)
-    rotation = -circles.distances[..., None] * np.einsum("nk,vkj->nvj", circles.plane_normals, rotations)
-    return np.concatenate([translation, rotation], axis=-1)
+    normals = circles.normals if tangent_planes is None else tangent_planes
+    slant = np.sum(normals * circles.normals, axis=-1)
+    normals = normals / np.where(np.abs(slant) < STEEPEST, np.copysign(STEEPEST, slant), slant)[..., None]
+    rays = np.cross(circles.plane_normals[:, None], circles.normals)
+    translation = np.einsum("nvk,vkj->nvj", normals, rotations)
+    lever = circles.distances[..., None] * np.cross(rays, normals)
+    return np.concatenate([translation, np.einsum("nvk,vkj->nvj", lever, rotations)], axis=-1)
 
 
 def relative_radius(

@@ -5,7 +5,7 @@ and of extremal boundaries. Shapes are eliminated exactly (`elimination`), which
 
     (I + sum_j J_j' (I - Q_j Q_j') J_j) du = -(u + sum_j J_j' r_j)
 
-solved by Gauss-Newton steps with Levenberg's damping; far tangent planes lose weight (Huber). The inverse of the matrix
+solved by Gauss-Newton steps with Levenberg's damping; far tangent planes lose weight. The inverse of the matrix
 on the left is the cameras' covariance and, in the small-noise limit, the Cramer-Rao bound.
 """
 
@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.linalg import norm
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
@@ -27,7 +28,11 @@ from extremal.estimator.support import CIRCLE, FIXED, Features, Sections
 
 STEPS = 40
 SETTLED = 1e-2  # standard deviations of the posterior, over all unknowns together: a shorter step ends the iteration
-HUBER = 3.0  # standard deviations beyond which a tangent plane loses weight
+FAR = 3.0  # standard deviations beyond which a tangent plane loses weight
+REWEIGHTED = (
+    8  # steps after which weights are held, lest planes that are nearly far swing between two solutions
+)
+STEADY = 0.1  # of their distance: features known less well than this don't help to find the cameras
 LOOSE = 0.2  # of its distance: a depth known less well than this is beyond linear error propagation
 
 
@@ -81,7 +86,7 @@ class Adjustment:
 class _State:
     cameras: Cameras
     blocks: list[list[Linearised]]  # of each set of features
-    robust: list[Array]  # (n, L, V) factors of each set on its weights
+    robust: list[Array]  # (n, L, V) factors of each set on its residuals
     matrix: Array  # (U, U) left-hand side
     gradient: Array  # (U,)
 
@@ -90,19 +95,27 @@ class _State:
         """Length of the Newton step that is left, in standard deviations of the posterior; NaN for cameras beyond reach."""
         return float(np.sqrt(self.gradient @ cho_solve(cho_factor(self.matrix), self.gradient)))
 
-    def theta(self, k: int, width: int) -> Array:
-        count = sum(len(b.rows) for b in self.blocks[k])
-        theta = np.zeros((count, width))
-        for b in self.blocks[k]:
+    def theta(self, k: int) -> Array:
+        """(n, k) of one set of features."""
+        blocks = self.blocks[k]
+        theta = np.zeros((len(self.robust[k]), max((b.theta.shape[1] for b in blocks), default=FIXED)))
+        for b in blocks:
             theta[b.rows, : b.theta.shape[1]] = b.theta
         return theta
 
     def residuals(self, k: int) -> Array:
-        """(n, L, V) in standard deviations, before robust weights."""
+        """(n, L, V) in standard deviations, before robust factors."""
         out = np.zeros(self.robust[k].shape)
         for b in self.blocks[k]:
             out[b.rows] = b.residuals
-        return out / self.robust[k]
+        return out / np.maximum(self.robust[k], 1e-12)
+
+    def own_sigma(self, k: int) -> Array:
+        """Largest (n,) of the standard deviations [m] of the first three parameters, for known cameras."""
+        sigma = np.full(len(self.robust[k]), np.inf)
+        for b in self.blocks[k]:
+            sigma[b.rows] = np.where(b.resolved, norm(b.gram_root, axis=2)[:, :CIRCLE].max(axis=1), np.inf)
+        return sigma
 
 
 def adjust(
@@ -146,22 +159,23 @@ class _Solver:
         self.prior, self.features, self.overlap, self.pool = prior, features, overlap, pool
 
     def solve(self, u: Array) -> tuple[_State, bool, int]:
+        robust: list[Array] = [np.ones(f.sigma.shape) for f in self.features]
         # twice at the start: the first pass finds where the planes touch, from which distances and lever arms follow
-        plain: list[Array] = [np.ones(f.sigma.shape) for f in self.features]
-        state = self.evaluate(u, [np.zeros((len(f), f.width)) for f in self.features], plain)
-        state = self.evaluate(u, self.thetas(state), plain)
+        state = self.evaluate(u, [np.zeros((len(f), f.width)) for f in self.features], robust)
+        state = self.evaluate(u, self.thetas(state), robust)
         if len(u) == 0:
             return state, True, 0
+        robust = steady = [self.steady(k, state) for k in range(len(self.features))]
         damping, steps = 0.0, 0
         for _ in range(STEPS):
             damped = state.matrix + damping * np.diag(np.diagonal(state.matrix))
             step = cho_solve(cho_factor(damped), -state.gradient)
-            # residuals of the start are those of wrong poses: only afterwards is a far plane an outlier
-            robust = [huber(state.residuals(k)) for k in range(len(self.features))] if steps else state.robust
+            if 0 < steps <= REWEIGHTED:  # not at the start, where residuals are those of wrong poses
+                robust = [s * robust_factor(state.residuals(k)) for k, s in enumerate(steady)]
             there = self.evaluate(state.cameras.u + step, self.thetas(state), robust)
-            # weights change from step to step, so that costs can't be compared: the decrement must fall, until it is
+            # as weights change, most when they first do, costs can't be compared: the decrement must not grow, until it is
             # within the posterior's standard deviation, where all is linear
-            if steps and not there.decrement < max(state.decrement, 1.0):
+            if not there.decrement < (max(2 * state.decrement, 1.0) if steps > 1 else np.inf):
                 damping = max(10 * damping, 1e-3)
                 continue
             state, steps, damping = there, steps + 1, damping / 10 if damping > 1e-6 else 0.0
@@ -170,7 +184,16 @@ class _Solver:
         return state, False, steps
 
     def thetas(self, state: _State) -> list[Array]:
-        return [state.theta(k, f.width) for k, f in enumerate(self.features)]
+        return [state.theta(k) for k in range(len(self.features))]
+
+    def steady(self, k: int, state: _State) -> Array:
+        """(n, L, V) 1 for features that are known well enough to speak of the cameras, 0 for those that would swing."""
+        known = state.own_sigma(k) < STEADY * self.distance(k, state)
+        return np.broadcast_to(known[:, None, None], self.features[k].sigma.shape).astype(float)
+
+    def distance(self, k: int, state: _State) -> Array:
+        """Distance (n,) [m] of the features' origins from the nearest camera."""
+        return np.min([norm(self.features[k].origin - v, axis=1) for v in state.cameras.centres], axis=0)
 
     def evaluate(self, u: Array, theta: list[Array], robust: list[Array]) -> _State:
         cameras = Cameras.at(self.prior, u)
@@ -201,7 +224,7 @@ class _Solver:
             moved @ np.swapaxes(moved, 1, 2) if converged else np.full((views, 6, 6), np.inf),
             u,
             state.cameras.focal,
-            (prior.focal_sigma * float(np.linalg.norm(root[:, -1])) if converged else np.inf)
+            (prior.focal_sigma * float(norm(root[:, -1])) if converged else np.inf)
             if prior.focal_sigma
             else 0.0,
             shapes,
@@ -210,66 +233,65 @@ class _Solver:
         )
 
     def shapes(self, k: int, state: _State, root: Array, converged: bool) -> Shapes:
-        features, theta = self.features[k], state.theta(k, self.features[k].width)
-        n, width = theta.shape
-        promoted = features
-        if isinstance(
-            features, Sections
-        ):  # a fixed section is fitted with a radius, too, to see whether it is zero
-            promoted = replace(features, order=np.maximum(features.order, CIRCLE))
-            theta = np.pad(theta, ((0, 0), (0, max(0, CIRCLE - width))))
-        blocks, _ = linearise_all(promoted, state.cameras, theta, state.robust[k], self.pool)
+        """Marginals of one set. Features that did not help to find the cameras are estimated now, too; fixed sections are
+        fitted with a radius, to see whether it is zero."""
+        features = self.features[k]
+        helped = state.robust[k].max(axis=(1, 2), initial=0.0) > 0
+        robust = np.where(helped[:, None, None], state.robust[k], 1.0)
+        blocks, _ = linearise_all(features, state.cameras, state.theta(k), robust, self.pool)
+        state = replace(state, blocks=[blocks], robust=[robust])
+        n, width, theta = len(features), features.width, state.theta(0)
+        if isinstance(features, Sections):
+            freed = replace(features, order=np.maximum(features.order, CIRCLE))
+            wide = np.pad(theta, ((0, 0), (0, max(0, CIRCLE - width))))
+            blocks, _ = linearise_all(freed, state.cameras, wide, robust, self.pool)
         out = Shapes(
-            np.zeros((n, width)),
+            theta,
             np.full((n, width, width), np.inf),
             np.zeros(n),
             np.full(n, np.inf),
             np.full(n, np.inf),
             np.zeros((n, len(root))),
-            state.residuals(k),
+            state.residuals(0),
             np.zeros(n, bool),
         )
         for block in blocks:
-            self._fill(out, features, block, root)
-        out.theta[:] = state.theta(k, width)
-        distance = np.linalg.norm(features.origin[:, None] - state.cameras.centres, axis=2).min(axis=1)
-        loose = ~(np.sqrt(np.trace(out.covariance[:, :2, :2], axis1=1, axis2=2)) < LOOSE * distance)
-        out.valid[loose] = False
-        out.valid[:] &= converged
+            self._fill(out, features, block, root, helped[block.rows])
+        depth = np.sqrt(np.trace(out.covariance[:, :2, :2], axis1=1, axis2=2))
+        out.valid[:] &= converged & (depth < LOOSE * self.distance(k, state))
         for values in (out.covariance, out.sigma_radius, out.own_variance):
             values[~out.valid] = np.inf
         return out
 
-    def _fill(self, out: Shapes, features: Features, block: Linearised, root: Array) -> None:
-        """Marginals of one block. For a section held fixed, S below is the cameras' information with its radius held at
-        zero; freeing that takes b b' / overlap from it (b: the row of B of the radius), which the last lines account for."""
+    def _fill(
+        self, out: Shapes, features: Features, block: Linearised, root: Array, helped: np.ndarray
+    ) -> None:
+        """Marginals of one block. root' root = S^-1. For a section held fixed, S is the cameras' information with its radius
+        held at zero; freeing that takes b b' / overlap from it (b: the row of B of the radius), for which `left` stands."""
         rows, width = block.rows, min(out.theta.shape[1], block.theta.shape[1])
-        B = block.B @ root.T  # (n, k, U): B S^-1 B' is its square
+        B = block.B @ root.T
         spread = np.einsum("nij,nju->niu", block.gram_root, B)
         own = block.gram_root @ np.swapaxes(block.gram_root, 1, 2)
         covariance = own + spread @ np.swapaxes(spread, 1, 2)
-        fixed = features.order[rows] == FIXED
         if isinstance(features, Sections):
-            out.radius[rows] = block.theta[:, 2]
-            out.own_variance[rows] = own[:, 2, 2]
-            freed = np.where(fixed, 1 - np.sum(B[:, 2] ** 2, axis=1) / self.overlap, 1.0)
-            out.radius[rows] /= np.maximum(freed, 1e-12)
-            variance = own[:, 2, 2] * (1 + np.sum(B[:, 2] ** 2, axis=1) / np.maximum(freed, 1e-12))
-            out.sigma_radius[rows] = np.sqrt(np.where(block.resolved, variance, np.inf))
-            out.shared[rows] = spread[:, 2]
-            if (
-                fixed.any()
-            ):  # without the column of the radius, the factors of the first two are nested in these
-                part = block.gram_root[:, :FIXED, :FIXED]
-                two = part @ np.swapaxes(part, 1, 2)
-                moved = np.einsum("nij,nju->niu", part, B[:, :FIXED])
-                covariance[fixed] = 0.0
-                covariance[fixed, :FIXED, :FIXED] = (two + moved @ np.swapaxes(moved, 1, 2))[fixed]
+            fixed, turn = features.order[rows] == FIXED, np.sum(B[:, 2] ** 2, axis=1)
+            left = np.where(fixed & helped, np.maximum(1 - turn / self.overlap, 1e-12), 1.0)
+            out.radius[rows] = block.theta[:, 2] / left
+            # of an order above 3, R shares its factor with the terms behind it
+            free = covariance[:, 2, 2]
+            out.sigma_radius[rows] = np.sqrt(np.where(fixed, own[:, 2, 2] * (1 + turn / left), free))
+            out.own_variance[rows], out.shared[rows] = own[:, 2, 2], spread[:, 2]
+            # without the column of the radius, the factors of the first two are nested in these
+            part = block.gram_root[:, :FIXED, :FIXED]
+            moved = np.einsum("nij,nju->niu", part, B[:, :FIXED])
+            two = part @ np.swapaxes(part, 1, 2) + moved @ np.swapaxes(moved, 1, 2)
+            covariance[fixed] = 0.0
+            covariance[fixed, :FIXED, :FIXED] = two[fixed]
+        out.covariance[rows] = 0.0
         out.covariance[rows, :width, :width] = covariance[:, :width, :width]
-        out.covariance[rows, width:] = out.covariance[rows, :, width:] = 0.0
         out.valid[rows] = block.resolved & block.ahead
 
 
-def huber(residuals: Array) -> Array:
-    """Square roots of Huber's weights."""
-    return np.sqrt(np.minimum(1.0, HUBER / np.maximum(np.abs(residuals), 1e-9)))
+def robust_factor(residuals: Array) -> Array:
+    """Factors on residuals in standard deviations: 1 for near ones; the pull of a far one falls as it goes farther."""
+    return np.minimum(1.0, FAR / np.maximum(np.abs(residuals), 1e-9))

@@ -104,6 +104,7 @@ def linearise(
     normals = normals - (misses / distance**2)[..., None] * arm
     local = np.einsum("nlvk,vjk,nij->nlvi", normals, cameras.rotations, part.frame, optimize=True)
     Q, gram_root, resolved = _orthonormal(weights[..., None] * part.columns(local), part.order)
+    weights *= resolved[:, None, None]  # where theta is open, planes tell nothing of the cameras
     misses *= weights
     projected = np.einsum("nlvk,nlv->nk", Q, misses)
     J = weights[..., None] * np.concatenate([normals, np.cross(normals, arm)], axis=-1)
@@ -162,7 +163,7 @@ def linearise_all(
 def _reduced(block: Linearised) -> Reduced:
     views, own = block.by_view.shape[2:]
     common = block.by_common.shape[-1]
-    B = block.B.reshape(-1, views * own + common)
+    B = block.B.reshape(block.theta.size, views * own + common)
     information = -(B.T @ B)
     diagonal = np.einsum("nlvi,nlvj->vij", block.by_view, block.by_view)
     for i in range(views):

@@ -36,7 +36,7 @@ def varying_sections(circles: OsculatingCircle, weight: Array, contour: np.ndarr
         solutions.append(solved)
         chi2.append(solved[3])
     falls = (a - b for a, b in itertools.pairwise(chi2))
-    first, second = (_pooled(fall, least, contour) for fall in falls)
+    first, second = (pooled_evidence(fall, least, contour) for fall in falls)
     refined = circles
     for (shift, gain, covariance, _), chosen in zip(solutions, (first & ~second, second), strict=True):
         refined = _refined(refined, chosen & least, shift, gain, covariance)
@@ -72,7 +72,7 @@ def _solve(
     return shift, gain, covariance, chi2
 
 
-def _pooled(fall: Array, counted: np.ndarray, contour: np.ndarray) -> np.ndarray:
+def pooled_evidence(fall: Array, counted: np.ndarray, contour: np.ndarray) -> np.ndarray:
     """Whether the mean fall of chi2 around each point (n,) exceeds EVIDENCE."""
     total, _ = window_sum(np.where(counted, fall, 0.0), contour, NEIGHBOURS)
     count, _ = window_sum(counted.astype(float), contour, NEIGHBOURS)

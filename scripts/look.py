@@ -49,6 +49,9 @@ class LookSettings:
     """of rendering: preview, standard or metrology"""
     noise: float = 2.0
     """sensor noise [grey levels]"""
+    estimator: Literal["circle", "parallax", "joint"] | None = None
+    """circle: with poses as believed; parallax: relative to references that are found; joint: poses and shape together. By
+    default joint where poses are uncertain, else circle"""
     position_error: float = 0.0
     """standard deviation of each view's believed position [m]"""
     rotation_error: float = 0.0
@@ -119,7 +122,7 @@ def take_look(
         bar("rendering"),
     )
     rendered = time.perf_counter()
-    shape = estimate_shape(recording.views, bar("contours"))
+    shape = estimate_shape(recording.views, bar("contours"), settings.estimator)
     seen = time.perf_counter()
     scored = score(shape, recording, scene)
     timing = {

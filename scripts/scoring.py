@@ -37,7 +37,7 @@ class Scored:
 def score(shape: Shape, recording: Recording, scene: Scene) -> Scored:
     """Match every point with the scene by its own pixel's ray from where the camera really was."""
     actual = recording.actual[shape.reference]
-    believed = recording.views[shape.reference].T_world_camera
+    believed = shape.T_world_camera[shape.reference]
     into_truth = (
         (actual * believed.inv()).rotation.as_matrix().T
     )  # row vectors: believed world to actual world

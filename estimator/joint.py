@@ -1,0 +1,215 @@
+"""Joint estimation: poses and shape from the same tracks, with references that bootstrap themselves.
+
+With poses as uncertain as a robot's, tracks first follow what the robot believes. An adjustment with all radii free fixes
+the cameras but for what looks like a common change of all radii; features of zero relative R are the fixed ones, and
+holding these fixed settles the rest. Contours are then tracked once more with the adjusted poses, which tells
+epipolar planes and matches better, and adjusted again, with the robot's prior as it was.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from extremal.estimator.adjustment import Adjustment, Shapes, adjust
+from extremal.estimator.camera import Array, View
+from extremal.estimator.epipolar import Sequence3D
+from extremal.estimator.estimates import (
+    DRIFT,
+    LEAST_VIEWS,
+    OVERLAP,
+    Circles,
+    Estimate,
+    fit_circles,
+    fixed_prior,
+    misfit,
+    parallax,
+)
+from extremal.estimator.poses import PosePrior
+from extremal.estimator.references import bootstrap
+from extremal.estimator.section import pooled_evidence
+from extremal.estimator.support import CIRCLE, FIXED, MOST, Sections
+from extremal.estimator.tracking import PARALLEL, Tracks
+
+Tracker = Callable[[Sequence3D], Tracks]
+OUTLIER = 6.0  # standard deviations from which a tangent plane is a false match
+VARYING_VIEWS = 7  # least number of views for a section whose curvature varies
+
+
+@dataclass(frozen=True, eq=False)
+class _Round:
+    """Tracks followed with the poses of `sequence`; those [chosen] as sections, and the adjustment; views as it left them."""
+
+    views: list[View]
+    sequence: Sequence3D
+    tracks: Tracks
+    chosen: np.ndarray
+    sections: Sections | None
+    adjustment: Adjustment | None
+
+
+def joint_estimate(
+    views: list[View], prior: PosePrior, tracker: Tracker
+) -> tuple[list[View], Tracks, Estimate]:
+    """Views with adjusted poses, their tracks, and the estimate.
+
+    Args:
+        views: with the poses that the robot believes. prior: what is known of these poses.
+        tracker: finds the tracks of a sequence.
+    """
+    first = _round(views, prior, tracker, None)
+    second = _round(first.views, prior, tracker, first.adjustment)
+    return second.views, second.tracks, _estimate(second)
+
+
+def _round(views: list[View], prior: PosePrior, tracker: Tracker, start: Adjustment | None) -> _Round:
+    sequence = Sequence3D.of(views)
+    tracks = tracker(sequence)
+    fit = fit_circles(views, sequence, tracks)
+    chosen = np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
+    if len(chosen) == 0:
+        return _Round(views, sequence, tracks, chosen, None, None)
+    sections = sections_of(sequence, tracks, fit, chosen)
+    adjustment, sections = _bootstrapped(prior, sections, tracks, chosen, start.u if start else None)
+    return _Round(_moved(views, adjustment), sequence, tracks, chosen, sections, adjustment)
+
+
+def sections_of(sequence: Sequence3D, tracks: Tracks, fit: Circles, chosen: np.ndarray) -> Sections:
+    """The tracks [chosen] as sections with all radii free: each edgel a tangent plane.
+
+    Contours along their epipolar lines tell nothing of R and hardly where they were crossed; they are left out.
+    """
+    back = np.argsort(fit.order)
+    planes, rays = tracks.planes.normal[chosen], tracks.rays[chosen]
+    across = np.cross(rays, planes[:, None])  # in the epipolar plane, perpendicular to the ray
+    across *= np.where(across @ sequence.travel < 0, -1.0, 1.0)[..., None]
+    normals = tracks.tangent_planes[chosen]
+    tilt = np.sum(normals * across, axis=-1) / np.linalg.norm(across, axis=-1)
+    normals = normals * np.where(tilt < 0, -1.0, 1.0)[..., None]
+    seen = fit.seen[chosen][:, back] & (np.abs(tilt) > PARALLEL)
+    sigma = np.where(seen, np.where(seen, tracks.sigma[chosen], 1.0) * np.abs(tilt), np.inf)
+    first = across[:, tracks.reference] / np.linalg.norm(across[:, tracks.reference], axis=-1, keepdims=True)
+    ray = np.cross(
+        planes, np.cross(rays[:, tracks.reference], planes)
+    )  # in the plane, also where poses put it a little off
+    ray /= np.linalg.norm(ray, axis=-1, keepdims=True)
+    return Sections(
+        np.einsum("nvk,vkj->nvj", normals, sequence.rotations)[:, None],
+        sigma[:, None],
+        fit.circles.points[chosen, 0],
+        np.stack([first, ray, np.cross(first, ray)], axis=1),
+        np.full(len(chosen), CIRCLE),
+    )
+
+
+def _bootstrapped(
+    prior: PosePrior, sections: Sections, tracks: Tracks, chosen: np.ndarray, start: Array | None
+) -> tuple[Adjustment, Sections]:
+    """Adjusted cameras, with references held fixed and the orders of the sections that the data call for."""
+    contour = tracks.contour[chosen]
+    free = adjust(prior, [sections], OVERLAP, start)
+    shape, sections = free.shapes[0], _without_outliers(sections, free)
+    references = bootstrap(
+        shape.radius, shape.own_variance, shape.shared, contour, fixed_prior(tracks)[chosen], OVERLAP
+    )
+    sections = replace(sections, order=np.where(references.fixed, FIXED, CIRCLE))
+    held = adjust(prior, [sections], OVERLAP, free.u)
+    sections = _without_outliers(sections, held)
+    order = _orders(replace(prior, T_world_camera=held.T_world_camera), sections, contour)
+    if np.array_equal(order, sections.order):
+        return held, sections
+    sections = replace(sections, order=order)
+    return adjust(prior, [sections], OVERLAP, held.u), sections
+
+
+def _without_outliers(sections: Sections, adjustment: Adjustment) -> Sections:
+    far = np.abs(adjustment.shapes[0].residuals) > OUTLIER
+    return replace(sections, sigma=np.where(far, np.inf, sections.sigma))
+
+
+def _orders(prior: PosePrior, sections: Sections, contour: np.ndarray) -> np.ndarray:
+    """Order (n,) of every section for which its neighbours along the contour speak together, for known cameras."""
+    known = PosePrior(prior.T_world_camera, np.zeros((len(prior.T_world_camera), 6, 0)))
+    extremal = (sections.order > FIXED) & (np.isfinite(sections.sigma[:, 0]).sum(axis=1) >= VARYING_VIEWS)
+    order, chi2 = sections.order.copy(), []
+    for k in range(CIRCLE, MOST + 1):
+        tried = replace(sections, order=np.where(extremal, k, sections.order))
+        chi2.append(np.sum(adjust(known, [tried]).shapes[0].residuals ** 2, axis=(1, 2)))
+        if k > CIRCLE:
+            order[pooled_evidence(chi2[-2] - chi2[-1], extremal, contour) & extremal] = k
+    return order
+
+
+def _moved(views: list[View], adjustment: Adjustment) -> list[View]:
+    """The views with adjusted poses; where these did not converge, as they were."""
+    if not adjustment.converged:
+        return views
+    return [
+        replace(
+            view, T_world_camera=adjustment.T_world_camera[i], pose_covariance=adjustment.pose_covariance[i]
+        )
+        for i, view in enumerate(views)
+    ]
+
+
+def _estimate(found: _Round) -> Estimate:
+    """The adjustment's shapes, their variances widened by what they leave of the edgels."""
+    views, tracks, chosen, sections = found.views, found.tracks, found.chosen, found.sections
+    out = _nothing(tracks)
+    if sections is None or found.adjustment is None:
+        return out
+    shape, reference = found.adjustment.shapes[0], tracks.reference
+    seen = np.isfinite(sections.sigma[:, 0])
+    inflation = misfit(np.clip(shape.residuals[:, 0], -6, 6), seen, tracks.contour[chosen])
+    distance = np.linalg.norm(sections.origin - views[reference].centre, axis=1)
+    drift = DRIFT * distance / views[0].camera.fx
+    own = shape.own_variance * inflation + drift**2
+    excess = np.where(shape.valid, shape.own_variance, 0.0) * (inflation - 1)
+    sigma = np.sqrt(shape.sigma_radius**2 + excess + drift**2)
+
+    fixed = np.zeros(len(tracks.seen), bool)
+    fixed[chosen] = (sections.order == FIXED) & shape.valid
+    out.radius[chosen], out.sigma_radius[chosen] = shape.radius, sigma
+    out.seen[chosen], out.valid[chosen] = seen, shape.valid & (seen.sum(axis=1) >= LEAST_VIEWS)
+    every, shared = np.full(len(fixed), np.inf), np.zeros((len(fixed), shape.shared.shape[1]))
+    every[chosen], shared[chosen] = own, shape.shared
+    relative = parallax(out.radius, every, shared, fixed, tracks)
+    position, covariance = _contact(views[reference], sections, shape, reference)
+    out.position[chosen] = position
+    out.covariance[chosen] = covariance * inflation[:, None, None]
+    return replace(out, **dict(zip(("relative", "sigma_relative", "relative_to"), relative, strict=True)))
+
+
+def _contact(view: View, sections: Sections, shape: Shapes, reference: int) -> tuple[Array, Array]:
+    """Contact points (n, 3) in the reference view and their covariance (n, 3, 3): in the section's plane that of its
+    parameters, off it that of the view's pose, which says where the pixel's ray runs."""
+    rotation = view.T_world_camera.rotation.as_matrix()
+    normals = sections.normals[:, 0, reference] @ rotation.T
+    local = np.einsum("nij,nj->ni", sections.frame, normals)[:, None, None]
+    contact = sections.contact(local, shape.theta)[:, 0, 0]
+    position = sections.origin + np.einsum("ni,nij->nj", contact, sections.frame)
+    off = sections.frame[:, 2] @ rotation
+    lever = np.concatenate([off, np.cross((position - view.centre) @ rotation, off)], axis=1)
+    covariance = np.zeros((len(position), 3, 3))
+    covariance[:, :2, :2] = np.where(shape.valid[:, None, None], shape.covariance[:, :2, :2], 0.0)
+    covariance[:, 2, 2] = np.einsum("ni,ij,nj->n", lever, view.pose_covariance, lever)
+    covariance = np.swapaxes(sections.frame, 1, 2) @ covariance @ sections.frame
+    covariance[~shape.valid] = np.inf
+    return position, covariance
+
+
+def _nothing(tracks: Tracks) -> Estimate:
+    """An estimate without a valid point."""
+    n = len(tracks.seen)
+    unknown = np.full(n, np.inf)
+    return Estimate(
+        np.zeros(n),
+        unknown,
+        np.full(n, np.nan),
+        unknown.copy(),
+        np.full(n, -1),
+        np.zeros((n, 3)),
+        np.full((n, 3, 3), np.inf),
+        np.zeros_like(tracks.seen),
+        np.zeros(n, bool),
+    )

@@ -1,0 +1,173 @@
+"""Bootstrapped references: which features are fixed, when none is known to be (Cipolla ch. 3, sec. 3.5.1).
+
+Where poses are uncertain, radii of curvature have large errors, but nearly the same ones: R_j = true + shared_j . x + own
+error, x ~ N(0, I) common to all. If one feature is fixed, that its R is zero tells of x, and so of all others: pairs of
+fixed features have zero relative R. Each feature in turn is tried as the first reference; the trial that makes the
+radii as a whole most probable is the one to believe, unless a rival that contradicts it is nearly as probable. Then all
+that are found fixed serve as references together, with the expected share of false ones among them held below a bound
+(the local false discovery rate; Efron, *Large-Scale Inference*, 2010, ch. 5).
+
+Points of one contour have like labels, and edges of theirs that were localised together have like errors: likelihoods
+are pooled along contours and count as much as the number of independent ones among them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from extremal.estimator.camera import Array
+from extremal.estimator.errors import InvalidInput
+from extremal.estimator.pooling import window_sum
+
+BROAD = 0.08  # [m] scale of the radii of extremal boundaries, a Cauchy density: any size may come
+FALSE = 0.05  # share of false references that is accepted
+CERTAIN = 5.0  # log odds between the best explanation and the next that contradicts it
+TRIALS = 96  # features that are tried as the first reference
+ROUNDS = 12
+
+
+@dataclass(frozen=True, eq=False)
+class References:
+    """Which of n features are fixed, by their radii relative to each other.
+
+    Attributes:
+        fixed: (n,) the references; none where no explanation stands out.
+        probability: (n,) that a feature is fixed.
+        radius, sigma_radius: (n,) [m] given the references; of a reference itself, given the others.
+    """
+
+    fixed: np.ndarray
+    probability: Array
+    radius: Array
+    sigma_radius: Array
+
+
+def bootstrap(
+    radius: Array,
+    own_variance: Array,
+    shared: Array,
+    contour: np.ndarray,
+    prior: Array | float = 0.5,
+    overlap: float = 1.0,
+) -> References:
+    """Find the fixed features among n, given radii of curvature with their joint covariance.
+
+    Args:
+        radius: (n,) [m]. own_variance: (n,) [m^2] of each alone, shared: (n, U): features i and j have the covariance
+            shared_i . shared_j (`adjustment.Shapes`). Rows of infinite variance are left out.
+        contour: (n,) the contour of each feature, in order along it (a contour of its own for a point).
+        prior: (n,) probability of being fixed, from what else is known.
+        overlap: number of neighbours along a contour that repeat each other's errors.
+
+    Raises InvalidInput for shapes that do not fit.
+    """
+    n = len(radius)
+    if own_variance.shape != (n,) or shared.shape[:1] != (n,) or shared.ndim != 2 or contour.shape != (n,):
+        raise InvalidInput(
+            f"radius {radius.shape}, own_variance {own_variance.shape}, shared {shared.shape} and contour {contour.shape} "
+            "do not fit; accepted: (n,), (n,), (n, any), (n,)"
+        )
+    known = np.isfinite(own_variance)
+    problem = _Problem(
+        radius[known],
+        own_variance[known],
+        shared[known],
+        contour[known],
+        np.clip(np.broadcast_to(np.asarray(prior, float), (n,))[known], 0.01, 0.99),
+        overlap,
+    )
+    fixed, probability = np.zeros(n, bool), np.zeros(n)
+    best, spread = radius.copy(), np.full(n, np.inf)
+    if known.any():
+        fixed[known], probability[known], best[known], spread[known] = problem.solve()
+    return References(fixed, probability, best, spread)
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    radius: Array
+    own: Array
+    shared: Array
+    contour: np.ndarray
+    prior: Array
+    overlap: float
+
+    def solve(self) -> tuple[np.ndarray, Array, Array, Array]:
+        trials = self.trials()
+        scores = np.array([self.score(j) for j in trials])
+        fixed = np.zeros(len(self.radius), bool)
+        fixed[trials[np.argmax(scores)]] = True
+        for _ in range(ROUNDS):
+            mean, variance = self.given(fixed)
+            probability = self.probability(mean, variance)
+            chosen = _discoveries(probability)
+            if np.array_equal(chosen, fixed) or not chosen.any():
+                fixed = chosen
+                break
+            fixed = chosen
+        mean, variance = self.given(fixed)
+        sigma = np.sqrt(variance)
+        # a rival: a feature that can't be fixed if these are, and explains the radii nearly as well
+        against = ~fixed[trials] & (np.abs(mean[trials]) > 4 * sigma[trials])
+        if fixed.any() and np.max(scores[against], initial=-np.inf) > scores.max() - CERTAIN:
+            fixed[:] = False
+            mean, variance = self.given(fixed)
+            probability = self.probability(mean, variance)
+            return fixed, probability, mean, np.sqrt(variance)
+        return fixed, self.probability(mean, variance), mean, sigma
+
+    def trials(self) -> np.ndarray:
+        """The best known features, spread over the contours."""
+        order = np.lexsort((self.own, self.contour))
+        first = np.searchsorted(self.contour[order], self.contour[order])
+        rank = np.arange(len(order)) - first  # within its contour, the best known first
+        return order[np.argsort(rank, kind="stable")][:TRIALS]
+
+    def score(self, j: int) -> float:
+        """Log likelihood of all radii if feature j is fixed."""
+        variance_j = self.own[j] + self.shared[j] @ self.shared[j]
+        common = self.shared @ self.shared[j]
+        mean = self.radius - common * self.radius[j] / variance_j
+        variance = self.own + np.sum(self.shared**2, axis=1) - common**2 / variance_j
+        others = np.logaddexp(*self.densities(mean, variance))
+        others[j] = 0.0
+        own = np.log(self.prior[j]) - 0.5 * self.radius[j] ** 2 / variance_j - 0.5 * np.log(variance_j)
+        return float(np.sum(others) / self.overlap + own)
+
+    def densities(self, mean: Array, variance: Array) -> tuple[Array, Array]:
+        """Log of prior times density (n,) of the radius of a fixed feature and of any other."""
+        zero = -0.5 * mean**2 / variance - 0.5 * np.log(2 * np.pi * variance)
+        wide = np.hypot(BROAD, np.sqrt(variance))
+        free = -np.log(np.pi * wide * (1 + (mean / wide) ** 2))
+        return np.log(self.prior) + zero, np.log1p(-self.prior) + free
+
+    def probability(self, mean: Array, variance: Array) -> Array:
+        """Probability (n,) that a feature is fixed: both its own radius and its neighbours' along the contour must say so."""
+        zero, free = self.densities(mean, variance)
+        odds = np.clip(zero - free, -30.0, 30.0)
+        pooled, _ = window_sum(odds, self.contour, round(2 * self.overlap))
+        return 1 / (1 + np.exp(-np.minimum(odds, pooled / self.overlap)))
+
+    def given(self, fixed: np.ndarray) -> tuple[Array, Array]:
+        """Mean and variance (n,) of every radius given that those of `fixed` are zero; of each of these given the others."""
+        if not fixed.any():
+            return self.radius.copy(), self.own + np.sum(self.shared**2, axis=1)
+        F, own = self.shared[fixed], self.own[fixed] * self.overlap
+        information = np.eye(F.shape[1]) + (F / own[:, None]).T @ F
+        covariance = np.linalg.inv(information)
+        x = covariance @ (F.T @ (self.radius[fixed] / own))
+        mean = self.radius - self.shared @ x
+        spread = np.sum((self.shared @ covariance) * self.shared, axis=1)
+        # leave one out: with leverage a = spread / own, residual and variance grow by 1 / (1 - a)
+        leverage = np.where(fixed, 1 - spread / (self.own * self.overlap), 1.0)
+        return mean / leverage, self.own + np.where(fixed, spread / leverage, spread)
+
+
+def _discoveries(probability: Array) -> np.ndarray:
+    """The most probable features whose mean probability of being no fixed ones is below FALSE."""
+    order = np.argsort(-probability, kind="stable")
+    share = np.cumsum(1 - probability[order]) / np.arange(1, len(order) + 1)
+    count = int(np.searchsorted(share, FALSE, side="right"))  # non-decreasing
+    chosen = np.zeros(len(probability), bool)
+    chosen[order[:count]] = True
+    return chosen

@@ -65,7 +65,8 @@ class Adjustment:
     """Cameras and features after a bundle adjustment of V views.
 
     Attributes:
-        T_world_camera: poses (V); pose_covariance: (V, 6, 6) in the camera frames. u: the whitened camera unknowns.
+        T_world_camera: poses (V); pose_covariance: (V, 6, 6) in the camera frames.
+        u: the whitened camera unknowns; root: (U, U), their covariance is root' root.
         focal, focal_sigma: factor on the focal length, and its standard deviation.
         shapes: one entry for each set of features, in the order given.
         converged: False where the steps did not settle: all sigma are infinite then.
@@ -75,6 +76,7 @@ class Adjustment:
     T_world_camera: RigidTransform
     pose_covariance: Array
     u: Array
+    root: Array
     focal: float
     focal_sigma: float
     shapes: tuple[Shapes, ...]
@@ -119,7 +121,10 @@ class _State:
 
 
 def adjust(
-    prior: PosePrior, features: Sequence[Features], overlap: float = 1.0, start: Array | None = None
+    prior: PosePrior,
+    features: Sequence[Features],
+    overlap: float = 1.0,
+    start: Array | None = None,
 ) -> Adjustment:
     """Adjust cameras and features together.
 
@@ -143,20 +148,35 @@ def adjust(
             )
     if not overlap >= 1:
         raise InvalidInput(f"overlap is {overlap!r}; accepted: a number from 1")
-    features = [f for f in features]
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(2) as pool:
-        solver = _Solver(prior, features, overlap, pool)
+        solver = _Solver(prior, list(features), overlap, pool)
         state, converged, steps = solver.solve(np.zeros(prior.unknowns) if start is None else start)
         return solver.adjustment(state, converged, steps)
 
 
+def survey(prior: PosePrior, features: Features, adjustment: Adjustment) -> Shapes:
+    """The shapes of features for the cameras of an adjustment, as if they had had no part in it.
+
+    That is right for other features, and for the same ones where these had had more parameters: what has told of the
+    cameras then is no part of what tells of their shape.
+    """
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(2) as pool:
+        solver = _Solver(prior, [features], 1.0, pool)
+        theta, robust = np.zeros((len(features), features.width)), np.ones(features.sigma.shape)
+        state = solver.evaluate(adjustment.u, [theta], [robust])
+        state = solver.evaluate(adjustment.u, [state.theta(0)], [robust])
+        state = replace(state, robust=[np.zeros_like(robust)])  # none of them helped
+        return solver.shapes(0, state, adjustment.root, adjustment.converged)
+
+
+@dataclass(frozen=True, eq=False)
 class _Solver:
     """Levenberg-Marquardt on the cameras; the features follow."""
 
-    def __init__(
-        self, prior: PosePrior, features: list[Features], overlap: float, pool: ThreadPoolExecutor
-    ) -> None:
-        self.prior, self.features, self.overlap, self.pool = prior, features, overlap, pool
+    prior: PosePrior
+    features: list[Features]
+    overlap: float
+    pool: ThreadPoolExecutor
 
     def solve(self, u: Array) -> tuple[_State, bool, int]:
         robust: list[Array] = [np.ones(f.sigma.shape) for f in self.features]
@@ -177,6 +197,8 @@ class _Solver:
             # within the posterior's standard deviation, where all is linear
             if not there.decrement < (max(2 * state.decrement, 1.0) if steps > 1 else np.inf):
                 damping = max(10 * damping, 1e-3)
+                # the next step is compared with what the new weights and contacts make of the cameras as they are
+                state = self.evaluate(state.cameras.u, self.thetas(state), robust)
                 continue
             state, steps, damping = there, steps + 1, damping / 10 if damping > 1e-6 else 0.0
             if steps >= 2 and state.decrement < SETTLED:
@@ -223,6 +245,7 @@ class _Solver:
             prior.moved(prior.errors(u)),
             moved @ np.swapaxes(moved, 1, 2) if converged else np.full((views, 6, 6), np.inf),
             u,
+            root,
             state.cameras.focal,
             (prior.focal_sigma * float(norm(root[:, -1])) if converged else np.inf)
             if prior.focal_sigma

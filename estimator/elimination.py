@@ -9,6 +9,7 @@ of no more than theta's rank. Features are taken in blocks that stay in the proc
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.linalg import inv, norm
@@ -21,6 +22,8 @@ BLOCK = 256  # features linearised at once
 UNRESOLVED = (
     1e-10  # squared sine between a column of X and those before it, below which theta is not determined
 )
+
+einsum = partial(np.einsum, optimize=True)  # products with small matrices, as batched matrix products
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,11 +92,11 @@ def linearise(
     prior, part = cameras.prior, features.take(rows)
     normals = part.normals * (cameras.focal, cameras.focal, 1.0)
     normals /= norm(normals, axis=-1, keepdims=True)
-    world = np.einsum("nlvk,vjk->nlvj", normals, cameras.rotations)
-    local = np.einsum("nlvk,njk->nlvj", world, part.frame)
+    world = einsum("nlvk,vjk->nlvj", normals, cameras.rotations)
+    local = einsum("nlvk,njk->nlvj", world, part.frame)
     lever = (cameras.centres - part.origin[:, None])[:, None]
-    contact = np.einsum("nlvj,njk->nlvk", part.contact(local, theta[rows, : part.width]), part.frame)
-    arm = np.einsum("nlvk,vkj->nlvj", lever - contact, cameras.rotations)  # from contact point to centre
+    contact = einsum("nlvj,njk->nlvk", part.contact(local, theta[rows, : part.width]), part.frame)
+    arm = einsum("nlvk,vkj->nlvj", lever - contact, cameras.rotations)  # from contact point to centre
     distance = norm(arm, axis=-1)
     seen, ahead = np.isfinite(part.sigma), arm[..., 2] < 0
     weights = np.where(seen & ahead, robust[rows] / (np.where(seen, part.sigma, 1.0) * distance), 0.0)
@@ -102,13 +105,13 @@ def linearise(
     # Derivatives are those of the predicted planes, through the centres as well but tangent to what theta describes: with the
     # measured normals they would share the residuals' noise, which pulls cameras and features together.
     normals = normals - (misses / distance**2)[..., None] * arm
-    local = np.einsum("nlvk,vjk,nij->nlvi", normals, cameras.rotations, part.frame, optimize=True)
+    local = einsum("nlvk,vjk,nij->nlvi", normals, cameras.rotations, part.frame)
     Q, gram_root, resolved = _orthonormal(weights[..., None] * part.columns(local), part.order)
     weights *= resolved[:, None, None]  # where theta is open, planes tell nothing of the cameras
     misses *= weights
     projected = np.einsum("nlvk,nlv->nk", Q, misses)
     J = weights[..., None] * np.concatenate([normals, np.cross(normals, arm)], axis=-1)
-    by_common = np.einsum("nlvi,vic->nlvc", J, prior.common)
+    by_common = einsum("nlvi,vic->nlvc", J, prior.common)
     if prior.focal_sigma:  # a longer focal length tilts the planes towards the optical axis
         tilt = weights * prior.focal_sigma * np.sum(normals[..., :2] * arm[..., :2], axis=-1)
         by_common = np.concatenate([by_common, tilt[..., None]], axis=-1)
@@ -118,7 +121,7 @@ def linearise(
         known + np.einsum("nij,nj->ni", gram_root, projected),
         gram_root,
         Q,
-        np.einsum("nlvi,viq->nlvq", J, prior.root),
+        einsum("nlvi,viq->nlvq", J, prior.root),
         by_common,
         resolved,
         np.all(ahead | ~seen, axis=(1, 2)),
@@ -165,12 +168,12 @@ def _reduced(block: Linearised) -> Reduced:
     common = block.by_common.shape[-1]
     B = block.B.reshape(block.theta.size, views * own + common)
     information = -(B.T @ B)
-    diagonal = np.einsum("nlvi,nlvj->vij", block.by_view, block.by_view)
+    diagonal = einsum("nlvi,nlvj->vij", block.by_view, block.by_view)
     for i in range(views):
         at = slice(i * own, (i + 1) * own)
         information[at, at] += diagonal[i]
     if common:
-        border = np.einsum("nlvi,nlvc->vic", block.by_view, block.by_common).reshape(-1, common)
+        border = einsum("nlvi,nlvc->vic", block.by_view, block.by_common).reshape(-1, common)
         information[:-common, -common:] += border
         information[-common:, :-common] += border.T
         information[-common:, -common:] += np.einsum("nlvc,nlvd->cd", block.by_common, block.by_common)

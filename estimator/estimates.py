@@ -6,6 +6,7 @@ import numpy as np
 
 from extremal.estimator.camera import Array, View
 from extremal.estimator.circle import OsculatingCircle, osculating_circle
+from extremal.estimator.contours import SYSTEMATIC
 from extremal.estimator.epipolar import Sequence3D
 from extremal.estimator.pooling import window_sum
 from extremal.estimator.poses import PosePrior
@@ -21,6 +22,7 @@ DRIFT = (
 )
 OUTLIER = 4.0  # standard deviations of a ray's residual beyond which its view is dropped
 OVERLAP = 3.0  # neighbouring edgels that a spline ties together
+REPEATING = 0.05  # [rad] turn of the view within which what models of shading leave of an edge stays alike
 SHADED = 0.5  # evidence of a limb from which a point is hardly a fixed feature
 FIXED_PRIOR, SHADED_PRIOR = 0.6, 0.1  # probability of a fixed feature before its motion is looked at
 REFERENCES = 1 / 3  # of the fixed points, the best known, serve as references for parallax
@@ -64,6 +66,7 @@ def fit_circles(views: list[View], sequence: Sequence3D, tracks: Tracks) -> Circ
     centres, rays, sigma = sequence.centres[order], tracks.rays[:, order], tracks.sigma[:, order]
     seen, tangent_planes = tracks.seen[:, order].copy(), tracks.tangent_planes[:, order]
     circles = osculating_circle(centres, rays, sigma, tracks.planes.normal)
+    sigma = np.hypot(sigma, _repeated(circles, tangent_planes, ordered[0].camera.fx))
     total = np.hypot(sigma, pose_angle_sigma(circles, ordered, tangent_planes))
     for _ in range(2):
         residual = np.where(
@@ -79,6 +82,17 @@ def fit_circles(views: list[View], sequence: Sequence3D, tracks: Tracks) -> Circ
     inflation = misfit(weight * circles.residuals, seen, tracks.contour)
     circles = varying_sections(circles, weight, tracks.contour)
     return Circles(order, circles, seen, np.where(seen, sigma, np.inf), inflation)
+
+
+def _repeated(circles: OsculatingCircle, tangent_planes: Array, fx: float) -> Array:
+    """What to add (n, V) [rad] to sigma in quadrature where views lie so close that what models of shading leave of an edge
+    is alike in them: as many views as the arc holds average it, not more."""
+    views = circles.normals.shape[1]
+    cosine = np.sum(circles.normals[:, :1] * circles.normals, axis=-1)
+    arc = 2 * np.arccos(np.clip(cosine, -1, 1)).max(axis=1)
+    excess = np.sqrt(np.maximum(views / (1 + arc / REPEATING) - 1, 0.0))
+    slant = np.abs(np.sum(tangent_planes * circles.normals, axis=-1))
+    return SYSTEMATIC / fx * excess[:, None] / np.maximum(slant, 1e-3)
 
 
 def misfit(residual: Array, seen: np.ndarray, contour: np.ndarray) -> Array:

@@ -7,21 +7,23 @@ epipolar planes and matches better, and adjusted again, with the robot's prior a
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from extremal.estimator.adjustment import Adjustment, Shapes, adjust
+from extremal.estimator.adjustment import Adjustment, Shapes, adjust, survey
 from extremal.estimator.camera import Array, View
 from extremal.estimator.epipolar import Sequence3D
 from extremal.estimator.estimates import (
     DRIFT,
     LEAST_VIEWS,
     OVERLAP,
+    SHADED,
     Circles,
     Estimate,
     fit_circles,
     fixed_prior,
+    mean_limb,
     misfit,
     parallax,
 )
@@ -32,6 +34,7 @@ from extremal.estimator.support import CIRCLE, FIXED, MOST, Sections
 from extremal.estimator.tracking import PARALLEL, Tracks
 
 Tracker = Callable[[Sequence3D], Tracks]
+LEAST_GUIDES = 6  # unshaded features that suffice to find the cameras
 OUTLIER = 6.0  # standard deviations from which a tangent plane is a false match
 VARYING_VIEWS = 7  # least number of views for a section whose curvature varies
 
@@ -46,6 +49,7 @@ class _Round:
     chosen: np.ndarray
     sections: Sections | None
     adjustment: Adjustment | None
+    shapes: Shapes | None
 
 
 def joint_estimate(
@@ -68,10 +72,10 @@ def _round(views: list[View], prior: PosePrior, tracker: Tracker, start: Adjustm
     fit = fit_circles(views, sequence, tracks)
     chosen = np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
     if len(chosen) == 0:
-        return _Round(views, sequence, tracks, chosen, None, None)
+        return _Round(views, sequence, tracks, chosen, None, None, None)
     sections = sections_of(sequence, tracks, fit, chosen)
-    adjustment, sections = _bootstrapped(prior, sections, tracks, chosen, start.u if start else None)
-    return _Round(_moved(views, adjustment), sequence, tracks, chosen, sections, adjustment)
+    adjustment, sections, shapes = _bootstrapped(prior, sections, tracks, chosen, start.u if start else None)
+    return _Round(_moved(views, adjustment), sequence, tracks, chosen, sections, adjustment, shapes)
 
 
 def sections_of(sequence: Sequence3D, tracks: Tracks, fit: Circles, chosen: np.ndarray) -> Sections:
@@ -87,7 +91,7 @@ def sections_of(sequence: Sequence3D, tracks: Tracks, fit: Circles, chosen: np.n
     tilt = np.sum(normals * across, axis=-1) / np.linalg.norm(across, axis=-1)
     normals = normals * np.where(tilt < 0, -1.0, 1.0)[..., None]
     seen = fit.seen[chosen][:, back] & (np.abs(tilt) > PARALLEL)
-    sigma = np.where(seen, np.where(seen, tracks.sigma[chosen], 1.0) * np.abs(tilt), np.inf)
+    sigma = np.where(seen, np.where(seen, fit.sigma[chosen][:, back], 1.0) * np.abs(tilt), np.inf)
     first = across[:, tracks.reference] / np.linalg.norm(across[:, tracks.reference], axis=-1, keepdims=True)
     ray = np.cross(
         planes, np.cross(rays[:, tracks.reference], planes)
@@ -104,39 +108,62 @@ def sections_of(sequence: Sequence3D, tracks: Tracks, fit: Circles, chosen: np.n
 
 def _bootstrapped(
     prior: PosePrior, sections: Sections, tracks: Tracks, chosen: np.ndarray, start: Array | None
-) -> tuple[Adjustment, Sections]:
-    """Adjusted cameras, with references held fixed and the orders of the sections that the data call for."""
+) -> tuple[Adjustment, Sections, Shapes]:
+    """Adjusted cameras, the sections with references held fixed and of the orders that the data call for, their shapes.
+
+    While cameras are adjusted, all other sections may vary as much as they can: a circle that is none would bend the
+    cameras' path. With the cameras known, evidence decides on their orders.
+    """
     contour = tracks.contour[chosen]
     free = adjust(prior, [sections], OVERLAP, start)
-    shape, sections = free.shapes[0], _without_outliers(sections, free)
-    references = bootstrap(
+    shape, sections = free.shapes[0], _without_outliers(sections, free.shapes[0])
+    fixed = bootstrap(
         shape.radius, shape.own_variance, shape.shared, contour, fixed_prior(tracks)[chosen], OVERLAP
-    )
-    sections = replace(sections, order=np.where(references.fixed, FIXED, CIRCLE))
-    held = adjust(prior, [sections], OVERLAP, free.u)
-    sections = _without_outliers(sections, held)
-    order = _orders(replace(prior, T_world_camera=held.T_world_camera), sections, contour)
-    if np.array_equal(order, sections.order):
-        return held, sections
-    sections = replace(sections, order=order)
-    return adjust(prior, [sections], OVERLAP, held.u), sections
+    ).fixed
+    many = np.isfinite(sections.sigma[:, 0]).sum(axis=1) >= VARYING_VIEWS
+    sections = replace(sections, order=np.where(fixed, FIXED, np.where(many, MOST, CIRCLE)))
+    guides = np.flatnonzero(fixed | (np.abs(mean_limb(tracks)[chosen]) < SHADED))
+    if len(guides) < LEAST_GUIDES:
+        guides = np.arange(len(chosen))
+    held = adjust(prior, [sections.take(guides)], OVERLAP, free.u)
+    held = adjust(prior, [_without_outliers(sections.take(guides), held.shapes[0])], OVERLAP, held.u)
+    sections = _without_outliers(sections, survey(prior, sections, held))
+    sections = replace(sections, order=_orders(prior, sections, held, fixed, many, contour))
+    return held, sections, _combined(held.shapes[0], survey(prior, sections, held), fixed, guides)
 
 
-def _without_outliers(sections: Sections, adjustment: Adjustment) -> Sections:
-    far = np.abs(adjustment.shapes[0].residuals) > OUTLIER
+def _combined(held: Shapes, surveyed: Shapes, fixed: np.ndarray, guides: np.ndarray) -> Shapes:
+    """The shapes that references have in the adjustment of the guides, and the surveyed ones of all others."""
+    among, there = np.flatnonzero(fixed[guides]), guides[fixed[guides]]
+
+    def either(a: Array, b: Array) -> Array:
+        out = b.copy()
+        out[there] = a[(among, *(slice(0, width) for width in b.shape[1:]))]
+        return out
+
+    return Shapes(*(either(getattr(held, f.name), getattr(surveyed, f.name)) for f in fields(Shapes)))
+
+
+def _without_outliers(sections: Sections, shapes: Shapes) -> Sections:
+    far = np.abs(shapes.residuals) > OUTLIER
     return replace(sections, sigma=np.where(far, np.inf, sections.sigma))
 
 
-def _orders(prior: PosePrior, sections: Sections, contour: np.ndarray) -> np.ndarray:
+def _orders(
+    prior: PosePrior,
+    sections: Sections,
+    held: Adjustment,
+    fixed: np.ndarray,
+    many: np.ndarray,
+    contour: np.ndarray,
+) -> np.ndarray:
     """Order (n,) of every section for which its neighbours along the contour speak together, for known cameras."""
-    known = PosePrior(prior.T_world_camera, np.zeros((len(prior.T_world_camera), 6, 0)))
-    extremal = (sections.order > FIXED) & (np.isfinite(sections.sigma[:, 0]).sum(axis=1) >= VARYING_VIEWS)
-    order, chi2 = sections.order.copy(), []
+    order, chi2 = np.where(fixed, FIXED, CIRCLE), []
     for k in range(CIRCLE, MOST + 1):
-        tried = replace(sections, order=np.where(extremal, k, sections.order))
-        chi2.append(np.sum(adjust(known, [tried]).shapes[0].residuals ** 2, axis=(1, 2)))
+        tried = replace(sections, order=np.where(~fixed & many, k, order))
+        chi2.append(np.sum(survey(prior, tried, held).residuals ** 2, axis=(1, 2)))
         if k > CIRCLE:
-            order[pooled_evidence(chi2[-2] - chi2[-1], extremal, contour) & extremal] = k
+            order[pooled_evidence(chi2[-2] - chi2[-1], ~fixed & many, contour) & ~fixed & many] = k
     return order
 
 
@@ -156,9 +183,9 @@ def _estimate(found: _Round) -> Estimate:
     """The adjustment's shapes, their variances widened by what they leave of the edgels."""
     views, tracks, chosen, sections = found.views, found.tracks, found.chosen, found.sections
     out = _nothing(tracks)
-    if sections is None or found.adjustment is None:
+    if sections is None or found.shapes is None:
         return out
-    shape, reference = found.adjustment.shapes[0], tracks.reference
+    shape, reference = found.shapes, tracks.reference
     seen = np.isfinite(sections.sigma[:, 0])
     inflation = misfit(np.clip(shape.residuals[:, 0], -6, 6), seen, tracks.contour[chosen])
     distance = np.linalg.norm(sections.origin - views[reference].centre, axis=1)

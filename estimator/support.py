@@ -13,6 +13,7 @@ support is n . (v - o). What the plane touches is linear in few parameters theta
 """
 
 from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
@@ -59,7 +60,7 @@ class Features:
         """Largest number of parameters."""
         return int(self.order.max(initial=FIXED))
 
-    def take(self, rows: np.ndarray) -> "Features":
+    def take(self, rows: np.ndarray) -> Self:
         """The features [rows]."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(Features)})
 

@@ -17,6 +17,7 @@ from extremal.estimator.contours import Contours
 from extremal.estimator.epipolar import EpipolarPlanes, Sequence3D
 from extremal.estimator.matching import ALIKE, Crossings, EdgelMap, cross, in_plane_sigma, loose_sigma
 from extremal.estimator.pooling import window_sum
+from extremal.estimator.slant import smoothed_tangent_planes
 
 NEAREST, FARTHEST = 0.15, 4.0  # [m] depths that are searched
 SWEEP_STEP = 1.5  # [px] between depths of the sweep, in the farthest view it uses
@@ -38,8 +39,7 @@ class Tracks:
         reference: the view in which the points were chosen.
         contour: (n,) the reference view's contour on which each lies, non-decreasing.
         tangents: (n, 2) unit tangents [px] of that contour, its brighter side to their left.
-        tangent_planes: (n, V, 3) unit normals of the tangent planes, of any sign; those of the epipolar planes where the
-            point was not seen.
+        tangent_planes: (n, V, 3) unit normals of the tangent planes, of any sign, their slant smoothed over the views.
         ahead: (n,) component along the travel of the direction to the contour's brighter side.
         planes: their epipolar planes.
         seen: (n, V) whether the point was found in a view.
@@ -115,7 +115,9 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
         reference,
         edgels.contour[chosen],
         np.stack([-edgels.normals[chosen, 1], edgels.normals[chosen, 0]], axis=1),
-        stacked["tangent_planes"],
+        smoothed_tangent_planes(
+            stacked["tangent_planes"], stacked["rays"], planes.normal, stacked["found"], reference
+        ),
         direction @ sequence.travel,
         planes,
         stacked["found"],

@@ -1,5 +1,6 @@
 """Images and poses in, surface shape with uncertainty out (Cipolla ch. 3; Cipolla and Blake, IJCV 1992)."""
 
+from extremal.estimator.adjustment import Adjustment, adjust
 from extremal.estimator.camera import Camera, View
 from extremal.estimator.circle import OsculatingCircle, osculating_circle
 from extremal.estimator.contours import Contours, find_contours
@@ -10,9 +11,10 @@ from extremal.estimator.errors import (
     RenderingError,
     SceneError,
 )
-from extremal.estimator.shape import Shape, estimate_shape
+from extremal.estimator.shape import Shape, all_contours, estimate_shape, shape_from_contours
 
 __all__ = [
+    "Adjustment",
     "Camera",
     "Contours",
     "DegenerateGeometry",
@@ -23,7 +25,10 @@ __all__ = [
     "SceneError",
     "Shape",
     "View",
+    "adjust",
+    "all_contours",
     "estimate_shape",
     "find_contours",
     "osculating_circle",
+    "shape_from_contours",
 ]

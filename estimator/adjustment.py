@@ -185,7 +185,10 @@ class _Solver:
         state = self.evaluate(u, self.thetas(state), robust)
         if len(u) == 0:
             return state, True, 0
-        robust = steady = [self.steady(k, state) for k in range(len(self.features))]
+        steady = [self.steady(k, state) for k in range(len(self.features))]
+        scale = self.scale(state)
+        robust = [s * robust_factor(state.residuals(k) / scale) for k, s in enumerate(steady)]
+        state = self.evaluate(u, self.thetas(state), robust)
         damping, steps = 0.0, 0
         for _ in range(STEPS):
             damped = state.matrix + damping * np.diag(np.diagonal(state.matrix))
@@ -204,6 +207,11 @@ class _Solver:
             if steps >= 2 and state.decrement < SETTLED:
                 return state, True, steps
         return state, False, steps
+
+    def scale(self, state: _State) -> float:
+        """Residuals of the start are those of wrong poses: what is far among them is measured by their own spread."""
+        every = [state.residuals(k)[np.isfinite(f.sigma)] for k, f in enumerate(self.features)]
+        return max(1.0, 1.5 * float(np.median(np.abs(np.concatenate(every)))))
 
     def thetas(self, state: _State) -> list[Array]:
         return [state.theta(k) for k in range(len(self.features))]

@@ -9,6 +9,7 @@ from extremal.estimator.camera import Array, Camera, View
 from extremal.estimator.errors import DegenerateGeometry
 
 SHORTEST_BASELINE = 1e-4  # [m]
+LEAST_CERTAINTY = 10.0  # standard deviations of a position that the path must be long
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +26,7 @@ class Sequence3D:
 
     @staticmethod
     def of(views: Sequence[View]) -> "Sequence3D":
-        """Raises DegenerateGeometry for fewer than three views or centres that do not move."""
+        """Raises DegenerateGeometry for fewer than three views or centres that do not move, or no farther than they are known."""
         if len(views) < 3:
             raise DegenerateGeometry(
                 f"{len(views)} view(s) given; curvature from apparent contours needs at least 3"
@@ -40,6 +41,12 @@ class Sequence3D:
             )
         travel = spread if along[-1] > 0 else -spread
         variance = np.array([np.diagonal(v.pose_covariance) for v in views]).reshape(-1, 2, 3).mean(axis=2)
+        unknown = LEAST_CERTAINTY * float(np.sqrt(variance[:, 0].mean()))
+        if np.ptp(along) < unknown:
+            raise DegenerateGeometry(
+                f"the camera centres span {np.ptp(along):.2g} m, no more than their uncertainty brings about; accepted: a "
+                f"baseline of at least {unknown:.2g} m ({LEAST_CERTAINTY:g} standard deviations of a position)"
+            )
         return Sequence3D(tuple(v.camera for v in views), rotations, centres, travel, *np.sqrt(variance).T)
 
     def pose_sigma(self, view: int, distance: Array) -> Array:

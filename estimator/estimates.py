@@ -114,7 +114,8 @@ def circle_estimate(views: list[View], tracks: Tracks, fit: Circles) -> Estimate
     own = np.sum((weight * circles.distances) ** 2, axis=1) * fit.inflation + drift**2
     gradient = pose_gradient(circles, ordered, tracks.tangent_planes[:, fit.order])
     gradient = np.where(fit.seen[..., None], gradient, 0.0)
-    shared = np.einsum("nvi,vik->nvk", gradient, PosePrior.of(ordered).root).reshape(len(gradient), -1)
+    shared = np.einsum("nvi,vik->nvk", gradient, PosePrior.of(ordered).root)
+    shared = shared.reshape(len(gradient), shared.shape[1] * shared.shape[2])
     own = np.where(valid, own, np.inf)
     references = bootstrap(circles.radius, own, shared, tracks.contour, fixed_prior(tracks), OVERLAP)
     relative, sigma_relative, relative_to = parallax(circles.radius, own, shared, references.fixed, tracks)

@@ -100,18 +100,29 @@ def estimate_shape(
         DegenerateGeometry: fewer than three views, or a camera that does not move.
         InvalidInput: an unknown estimator, or a prior of another number of views.
     """
-    if estimator is not None and estimator not in get_args(Estimator):
-        raise InvalidInput(f"estimator is {estimator!r}; accepted: {', '.join(get_args(Estimator))}")
-    sequence = Sequence3D.of(views)
-    prior = PosePrior.of(views) if prior is None else prior
-    if len(prior.T_world_camera) != len(views):
-        raise InvalidInput(
-            f"the prior has {len(prior.T_world_camera)} poses; accepted: {len(views)}, as there are views"
-        )
-    estimator = estimator or ("circle" if prior.exact else "joint")
-    reference = len(views) // 2
+    _checked(views, estimator, prior)
+    return shape_from_contours(views, all_contours(views, progress), estimator, prior)
+
+
+def shape_from_contours(
+    views: Sequence[View],
+    contours: list[Contours],
+    estimator: Estimator | None = None,
+    prior: PosePrior | None = None,
+) -> Shape:
+    """`estimate_shape` of views whose contours are known already: other poses, another estimator, at less cost.
+
+    Raises InvalidInput for another number of contours than of views, and as `estimate_shape`.
+    """
+    prior, estimator = _checked(views, estimator, prior)
+    if len(contours) != len(views):
+        raise InvalidInput(f"contours of {len(contours)} views; accepted: {len(views)}, as there are views")
+    sequence, reference = Sequence3D.of(views), len(views) // 2
     with threadpool_limits(1, "blas"):  # many small matrices: views are spread over the processors instead
-        contours, maps = _all_contours(views, reach_of(sequence), progress)
+        reach = reach_of(sequence)
+        maps = [
+            EdgelMap(c, v.camera.width, v.camera.height, reach) for c, v in zip(contours, views, strict=True)
+        ]
 
         def tracker(moved: Sequence3D) -> Tracks:
             return track(moved, contours, maps, reference)
@@ -126,20 +137,34 @@ def estimate_shape(
         return _shape(moved, tracks, estimate)
 
 
-def _all_contours(
-    views: Sequence[View], reach: int, progress: Callable[[int, int], None] | None
-) -> tuple[list[Contours], list[EdgelMap]]:
-    def find(view: View) -> tuple[Contours, EdgelMap]:
-        contours = find_contours(view.image, view.camera)
-        return contours, EdgelMap(contours, view.camera.width, view.camera.height, reach)
+def _checked(
+    views: Sequence[View], estimator: Estimator | None, prior: PosePrior | None
+) -> tuple[PosePrior, Estimator]:
+    """The prior and the estimator that hold; an error before any image is looked at."""
+    if estimator is not None and estimator not in get_args(Estimator):
+        raise InvalidInput(f"estimator is {estimator!r}; accepted: {', '.join(get_args(Estimator))}")
+    Sequence3D.of(views)
+    prior = PosePrior.of(views) if prior is None else prior
+    if len(prior.T_world_camera) != len(views):
+        raise InvalidInput(
+            f"the prior has {len(prior.T_world_camera)} poses; accepted: {len(views)}, as there are views"
+        )
+    return prior, estimator or ("circle" if prior.exact else "joint")
 
-    with ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
+
+def all_contours(views: Sequence[View], progress: Callable[[int, int], None] | None = None) -> list[Contours]:
+    """The contours of every view; progress as in `estimate_shape`."""
+
+    def find(view: View) -> Contours:
+        return find_contours(view.image, view.camera)
+
+    with threadpool_limits(1, "blas"), ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
         found = []
-        for result in pool.map(find, views):
-            found.append(result)
+        for contours in pool.map(find, views):
+            found.append(contours)
             if progress:
                 progress(len(found), len(views))
-    return [c for c, _ in found], [m for _, m in found]
+    return found
 
 
 def _shape(views: list[View], tracks: Tracks, estimate: Estimate) -> Shape:

@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
+from extremal.estimator.poses import pose_exp
 
 
 @dataclass(frozen=True)
@@ -57,8 +58,3 @@ class PoseErrors:
         hand_eye = rng.standard_normal(6) * ([self.hand_eye_position] * 3 + [self.hand_eye_rotation] * 3)
         views = rng.standard_normal((len(joint_positions), 6)) * ([self.position] * 3 + [self.rotation] * 3)
         return forward(joint_positions + bias) * pose_exp(hand_eye) * pose_exp(views)
-
-
-def pose_exp(error: Array) -> RigidTransform:
-    """exp of twists (..., 6) = (translation [m], rotation vector [rad])."""
-    return RigidTransform.from_exp_coords(np.concatenate([error[..., 3:], error[..., :3]], axis=-1))

@@ -346,8 +346,8 @@ def test_the_estimator_gets_no_truth(taken: "Taken") -> None:
     """Views alone give the shape; with another scene's truth nothing but the truth of the points changes."""
     look = taken.look
     again = estimate_shape(look.recording.views)
-    for field in fields(Shape):
-        np.testing.assert_array_equal(getattr(again, field.name), getattr(look.shape, field.name), field.name)
+    for name in (f.name for f in fields(Shape) if f.name != "T_world_camera"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(look.shape, name), name)
     other = score(look.shape, look.recording, load_scene("sphere")).points
     truth = {key for key in other[0] if key.startswith("true_")} | {"object"}
     assert len(truth) == 6

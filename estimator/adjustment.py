@@ -23,6 +23,7 @@ from threadpoolctl import threadpool_limits
 from extremal.estimator.camera import Array
 from extremal.estimator.elimination import Cameras, Linearised, linearise_all
 from extremal.estimator.errors import InvalidInput
+from extremal.estimator.marginals import Shapes, marginals
 from extremal.estimator.poses import PosePrior
 from extremal.estimator.support import CIRCLE, FIXED, Features, Sections
 
@@ -34,30 +35,6 @@ REWEIGHTED = (
 )
 STEADY = 0.1  # of their distance: features known less well than this don't help to find the cameras
 LOOSE = 0.2  # of its distance: a depth known less well than this is beyond linear error propagation
-
-
-@dataclass(frozen=True, eq=False)
-class Shapes:
-    """What an adjustment makes of n features of one kind.
-
-    Attributes:
-        theta: (n, k) parameters (`support`); covariance: (n, k, k), the cameras' uncertainty included.
-        radius, sigma_radius: (n,) [m] signed radius of curvature of a section. For one that was held fixed it is what its
-            own planes say when all others are held as they are: the estimate that tests whether it is fixed.
-        own_variance: (n,) [m^2] of the radius for known cameras; shared: (n, U) what unit errors of the cameras add:
-            the radii of free sections i and j have the covariance shared_i . shared_j.
-        residuals: (n, L, V) in standard deviations; 0 where not seen.
-        valid: (n,) whether the planes determine the feature, in front of all cameras; else sigma and covariance are infinite.
-    """
-
-    theta: Array
-    covariance: Array
-    radius: Array
-    sigma_radius: Array
-    own_variance: Array
-    shared: Array
-    residuals: Array
-    valid: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,56 +248,17 @@ class _Solver:
         robust = np.where(helped[:, None, None], state.robust[k], 1.0)
         blocks, _ = linearise_all(features, state.cameras, state.theta(k), robust, self.pool)
         state = replace(state, blocks=[blocks], robust=[robust])
-        n, width, theta = len(features), features.width, state.theta(0)
+        theta = state.theta(0)
         if isinstance(features, Sections):
             freed = replace(features, order=np.maximum(features.order, CIRCLE))
-            wide = np.pad(theta, ((0, 0), (0, max(0, CIRCLE - width))))
+            wide = np.pad(theta, ((0, 0), (0, max(0, CIRCLE - features.width))))
             blocks, _ = linearise_all(freed, state.cameras, wide, robust, self.pool)
-        out = Shapes(
-            theta,
-            np.full((n, width, width), np.inf),
-            np.zeros(n),
-            np.full(n, np.inf),
-            np.full(n, np.inf),
-            np.zeros((n, len(root))),
-            state.residuals(0),
-            np.zeros(n, bool),
-        )
-        for block in blocks:
-            self._fill(out, features, block, root, helped[block.rows])
+        out = marginals(features, blocks, theta, state.residuals(0), root, helped / self.overlap)
         depth = np.sqrt(np.trace(out.covariance[:, :2, :2], axis1=1, axis2=2))
         out.valid[:] &= converged & (depth < LOOSE * self.distance(k, state))
         for values in (out.covariance, out.sigma_radius, out.own_variance):
             values[~out.valid] = np.inf
         return out
-
-    def _fill(
-        self, out: Shapes, features: Features, block: Linearised, root: Array, helped: np.ndarray
-    ) -> None:
-        """Marginals of one block. root' root = S^-1. For a section held fixed, S is the cameras' information with its radius
-        held at zero; freeing that takes b b' / overlap from it (b: the row of B of the radius), for which `left` stands."""
-        rows, width = block.rows, min(out.theta.shape[1], block.theta.shape[1])
-        B = block.B @ root.T
-        spread = np.einsum("nij,nju->niu", block.gram_root, B)
-        own = block.gram_root @ np.swapaxes(block.gram_root, 1, 2)
-        covariance = own + spread @ np.swapaxes(spread, 1, 2)
-        if isinstance(features, Sections):
-            fixed, turn = features.order[rows] == FIXED, np.sum(B[:, 2] ** 2, axis=1)
-            left = np.where(fixed & helped, np.maximum(1 - turn / self.overlap, 1e-12), 1.0)
-            out.radius[rows] = block.theta[:, 2] / left
-            # of an order above 3, R shares its factor with the terms behind it
-            free = covariance[:, 2, 2]
-            out.sigma_radius[rows] = np.sqrt(np.where(fixed, own[:, 2, 2] * (1 + turn / left), free))
-            out.own_variance[rows], out.shared[rows] = own[:, 2, 2], spread[:, 2]
-            # without the column of the radius, the factors of the first two are nested in these
-            part = block.gram_root[:, :FIXED, :FIXED]
-            moved = np.einsum("nij,nju->niu", part, B[:, :FIXED])
-            two = part @ np.swapaxes(part, 1, 2) + moved @ np.swapaxes(moved, 1, 2)
-            covariance[fixed] = 0.0
-            covariance[fixed, :FIXED, :FIXED] = two[fixed]
-        out.covariance[rows] = 0.0
-        out.covariance[rows, :width, :width] = covariance[:, :width, :width]
-        out.valid[rows] = block.resolved & block.ahead
 
 
 def robust_factor(residuals: Array) -> Array:

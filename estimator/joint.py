@@ -27,9 +27,10 @@ from extremal.estimator.estimates import (
     misfit,
     parallax,
 )
+from extremal.estimator.pooling import window_sum
 from extremal.estimator.poses import PosePrior
 from extremal.estimator.references import bootstrap
-from extremal.estimator.section import pooled_evidence
+from extremal.estimator.section import NEIGHBOURS, pooled_evidence
 from extremal.estimator.support import CIRCLE, FIXED, MOST, Sections
 from extremal.estimator.tracking import PARALLEL, Tracks
 
@@ -128,8 +129,34 @@ def _bootstrapped(
     held = adjust(prior, [sections.take(guides)], OVERLAP, free.u)
     held = adjust(prior, [_without_outliers(sections.take(guides), held.shapes[0])], OVERLAP, held.u)
     sections = _without_outliers(sections, survey(prior, sections, held))
-    sections = replace(sections, order=_orders(prior, sections, held, fixed, many, contour))
-    return held, sections, _combined(held.shapes[0], survey(prior, sections, held), fixed, guides)
+    varying = ~fixed & many
+    sections = replace(sections, order=_orders(prior, sections, held, varying, contour))
+    surveyed = survey(prior, sections, held)
+    full = survey(prior, replace(sections, order=np.where(varying, MOST, sections.order)), held)
+    surveyed = _undecided(surveyed, full, varying, contour)
+    return held, sections, _combined(held.shapes[0], surveyed, fixed, guides)
+
+
+def _undecided(chosen: Shapes, full: Shapes, varying: np.ndarray, contour: np.ndarray) -> Shapes:
+    """The chosen shapes with variances widened by what the full order would make of R, beyond what chance does.
+
+    Evidence leaves terms out that are there, but do not stand out; R takes their part. Points of a contour move alike then.
+    """
+    both = varying & chosen.valid & full.valid
+    count = np.maximum(window_sum(both.astype(float), contour, NEIGHBOURS)[0], 1.0)
+
+    def mean(values: Array) -> Array:
+        return window_sum(np.where(both, values, 0.0), contour, NEIGHBOURS)[0] / count
+
+    with np.errstate(invalid="ignore"):  # of rows that are not valid
+        more = np.maximum(full.own_variance - chosen.own_variance, 0.0)
+    shift = mean(full.radius - chosen.radius) ** 2 - mean(more) * OVERLAP / count
+    extra = np.where(both, np.maximum(shift, 0.0), 0.0)
+    return replace(
+        chosen,
+        own_variance=chosen.own_variance + extra,
+        sigma_radius=np.sqrt(chosen.sigma_radius**2 + extra),
+    )
 
 
 def _combined(held: Shapes, surveyed: Shapes, fixed: np.ndarray, guides: np.ndarray) -> Shapes:
@@ -150,20 +177,15 @@ def _without_outliers(sections: Sections, shapes: Shapes) -> Sections:
 
 
 def _orders(
-    prior: PosePrior,
-    sections: Sections,
-    held: Adjustment,
-    fixed: np.ndarray,
-    many: np.ndarray,
-    contour: np.ndarray,
+    prior: PosePrior, sections: Sections, held: Adjustment, varying: np.ndarray, contour: np.ndarray
 ) -> np.ndarray:
-    """Order (n,) of every section for which its neighbours along the contour speak together, for known cameras."""
-    order, chi2 = np.where(fixed, FIXED, CIRCLE), []
+    """Order (n,) of every section; of those that may vary the one for which their neighbours along the contour speak."""
+    order, chi2 = np.where(sections.order == FIXED, FIXED, CIRCLE), []
     for k in range(CIRCLE, MOST + 1):
-        tried = replace(sections, order=np.where(~fixed & many, k, order))
+        tried = replace(sections, order=np.where(varying, k, order))
         chi2.append(np.sum(survey(prior, tried, held).residuals ** 2, axis=(1, 2)))
         if k > CIRCLE:
-            order[pooled_evidence(chi2[-2] - chi2[-1], ~fixed & many, contour) & ~fixed & many] = k
+            order[pooled_evidence(chi2[-2] - chi2[-1], varying, contour) & varying] = k
     return order
 
 

@@ -164,10 +164,10 @@ class _Problem:
 
 
 def _discoveries(probability: Array) -> np.ndarray:
-    """The most probable features whose mean probability of being no fixed ones is below FALSE."""
+    """The most probable features, each fixed rather than not, whose mean probability of being no fixed ones is below FALSE."""
     order = np.argsort(-probability, kind="stable")
     share = np.cumsum(1 - probability[order]) / np.arange(1, len(order) + 1)
     count = int(np.searchsorted(share, FALSE, side="right"))  # non-decreasing
     chosen = np.zeros(len(probability), bool)
     chosen[order[:count]] = True
-    return chosen
+    return chosen & (probability > 0.5)

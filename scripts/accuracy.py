@@ -1,204 +1,103 @@
-"""`extremal accuracy`: how near to the truth the estimates are, over random vases, lights and noise."""
+"""`extremal accuracy`: how near to the truth and to the bound the estimates are; makes the tables of docs/accuracy.md."""
 
 import json
-from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, get_args
 
-import numpy as np
 from rich.console import Console
 from rich.progress import Progress
 
-from extremal.estimator import InvalidInput, osculating_circle
-from extremal.scenes import Ellipsoid, Lathe, Sphere, Surface, load_scene, randomised
-from extremal.scripts.coverage import Coverage, track_coverage
+from extremal.estimator import InvalidInput
+from extremal.scenes import load_scene
+from extremal.scripts.discrimination_study import discrimination_study, limit_table
 from extremal.scripts.edge_study import edge_study, edge_table
-from extremal.scripts.look import LookSettings, take_look
+from extremal.scripts.general_study import general_study, general_table
+from extremal.scripts.joint_study import joint_study, study_table
+from extremal.scripts.look_study import look_study, look_table, ray_accuracy, ray_table
 from extremal.scripts.output import output_folder
-from extremal.scripts.scoring import Scored
+from extremal.scripts.rendered_study import rendered_study, rendered_table
+from extremal.scripts.spatial_study import spatial_study
 
-Experiment = Literal["metric", "book"]
-EXPERIMENTS: tuple[Experiment, ...] = ("metric", "book")
-SADDLE = 20.0  # [1/m^2] |K| above which its sign is scored
+Study = Literal["rays", "looks", "edges", "planar", "space", "rendered", "general", "limits"]
+EDGE_FRAMES = 5  # more change nothing
+POINTS = 10  # of an object, in the study of general motion
 
 
 @dataclass(frozen=True)
 class AccuracySettings:
-    """Measure accuracy on rendered frames of random vases beside a box; writes accuracy.md and accuracy.json."""
+    """Measure accuracy on rays, tangent planes and rendered frames; writes accuracy.md and accuracy.json.
 
+    rays: circles from exact rays. looks: rendered frames, exact poses. edges: localisation alone. planar, space: joint
+    estimation with pose errors of 1 mm and 1 mrad against other methods and the Cramer-Rao bound. rendered: the same on
+    rendered frames. general: general motion to second order. limits: the smallest R told from a fixed feature.
+    """
+
+    studies: tuple[Study, ...] = get_args(Study)
+    """which to run"""
     scene: str = "vase-and-box"
-    """a preset's name, or a TOML file, of which random variations are looked at"""
+    """a preset's name, or a TOML file, of which random variations are looked at (looks)"""
     seeds: int = 20
-    """number of variations"""
-    edges: bool = True
-    """also measure the localisation of edges alone"""
+    """number of random vases (looks, rendered)"""
+    trials: int = 1000
+    """number of trials a row (planar, space, rendered, general, limits)"""
     out: Path = Path("out/accuracy")
     """folder that is written; what was there of the same names is replaced"""
 
 
-@dataclass(frozen=True)
-class LookAccuracy:
-    """Accuracy over all points of several looks; lengths in mm, shares from 0 to 1 (docs/accuracy.md)."""
-
-    experiment: str
-    extremal_points: int
-    fixed_points: int
-    median_radius_error_mm: float
-    median_sigma_mm: float
-    extremal_coverage: float
-    fixed_coverage: float
-    median_position_error_across_mm: float
-    fixed_called_extremal: float
-    extremal_called_extremal: float
-    side_right: float
-    gaussian_sign_right: float
-    tracked: float
-    tracked_transversal: float
-    false_tracks: float
-    vision_frames_per_s: float
-
-
 def accuracy(settings: AccuracySettings) -> None:
-    """Run every study and write its tables."""
-    if not 1 <= settings.seeds <= 10_000:
-        raise InvalidInput(f"--seeds is {settings.seeds}; accepted: 1 to 10000")
+    """Run the studies and write their tables."""
+    for name, value, most in (("seeds", settings.seeds, 10_000), ("trials", settings.trials, 1_000_000)):
+        if not 1 <= value <= most:
+            raise InvalidInput(f"--{name} is {value}; accepted: 1 to {most}")
     load_scene(settings.scene)
     console = Console()
-    with (
-        output_folder(settings.out) as folder,
-        Progress(console=console, transient=True) as progress,
-    ):
-        rays = ray_accuracy()
-        looks = [look_accuracy(settings.scene, name, settings.seeds, progress) for name in EXPERIMENTS]
-        edges = edge_study(min(settings.seeds, 5)) if settings.edges else []
-        text = "\n\n".join([_ray_table(rays), _look_table(looks), *([edge_table(edges)] if edges else [])])
-        content = {"rays_mm": rays, "looks": [asdict(x) for x in looks], "edges": [asdict(x) for x in edges]}
+    content, tables = {}, []
+    with output_folder(settings.out) as folder, Progress(console=console, transient=True) as progress:
+        for study in dict.fromkeys(settings.studies):
+            task = progress.add_task(study, total=None)
+
+            def advance(done: int, total: int, task: Any = task) -> None:
+                progress.update(task, completed=done, total=total)
+
+            rows, table = _run(study, settings, advance)
+            progress.update(task, total=1, completed=1)
+            content[study] = rows
+            tables.append(f"## {study}\n\n{table}")
         (folder / "accuracy.json").write_text(json.dumps(content, indent=1) + "\n")
-        (folder / "accuracy.md").write_text(text + "\n")
-    console.print(text, soft_wrap=True, markup=False)
+        (folder / "accuracy.md").write_text("\n\n".join(tables) + "\n")
+    console.print("\n\n".join(tables), soft_wrap=True, markup=False)
     console.print(f"wrote {settings.out}/: accuracy.md and accuracy.json")
 
 
-def ray_accuracy() -> dict[str, float]:
-    """Largest |R error| [mm] of three and fifteen exact rays, for sections that are circles."""
-    objects: dict[str, Surface] = {
-        "sphere": Sphere(radius=0.04),
-        "lathe, across its axis": Lathe(profile_z=[0, 0.05, 0.1, 0.2], profile_r=[0.04, 0.04, 0.04, 0.04]),
-        "ellipsoid of revolution": Ellipsoid(a=0.04, b=0.04, c=0.07),
-    }
-    worst = {}
-    for name, item in objects.items():
-        height = 0.1 if name.startswith("lathe") else 0.0
-        errors = []
-        for views, baseline, distance in ((3, 0.1, 0.5), (15, 0.4, 0.6)):
-            y = np.linspace(-0.5, 0.5, views) * baseline
-            centres = np.stack([np.full(views, -distance), y, np.full(views, height)], axis=1)
-            for side in (1.0, -1.0):
-                start = np.tile([0.0, 0.04 * side, height], (1, 1))
-                plane = np.array([[0.0, 0.0, 1.0]])
-                points = np.concatenate([item.contour_points_in_planes(start, c, plane) for c in centres])
-                rays = points - centres
-                circle = osculating_circle(centres, rays / np.linalg.norm(rays, axis=1, keepdims=True))
-                errors.append(
-                    abs(abs(float(circle.radius)) - float(item.section_radius(points[0], plane[0]))) * 1e3
-                )
-        worst[name] = max(errors)
-    return worst
-
-
-def look_accuracy(scene: str, experiment: Experiment, seeds: int, progress: Progress) -> LookAccuracy:
-    """Accuracy of one experiment over random variations of a scene, two looks at a time."""
-    task = progress.add_task(f"looks: {experiment}", total=seeds)
-    results = []
-    with ProcessPoolExecutor(2, mp_context=get_context("spawn")) as pool:
-        for result in pool.map(_one_look, [(scene, experiment, seed) for seed in range(seeds)]):
-            results.append(result)
-            progress.advance(task)
-    return _look_accuracy(experiment, results)
-
-
-def _one_look(arguments: tuple[str, Experiment, int]) -> tuple[Scored, Coverage, np.ndarray, float]:
-    name, experiment, seed = arguments
-    scene = randomised(load_scene(name), np.random.default_rng(seed))
-    result = take_look(scene, LookSettings(scene=name, experiment=experiment, seed=seed), workers=1)
-    error = result.scored.column("position_m") - result.scored.column("true_position_m")
-    rays = result.shape.rays
-    across = np.linalg.norm(error - np.sum(error * rays, axis=1, keepdims=True) * rays, axis=1)
-    speed = len(result.recording.views) / result.timing["vision"]
-    return result.scored, track_coverage(result.shape, result.recording, scene), across, speed
-
-
-def _look_accuracy(
-    experiment: str, results: Iterable[tuple[Scored, Coverage, np.ndarray, float]]
-) -> LookAccuracy:
-    scored, coverages, across, speeds = (list(column) for column in zip(*results, strict=True))
-
-    def column(name: str) -> np.ndarray:
-        return np.concatenate([s.column(name) for s in scored])
-
-    truth, label = column("true_label"), column("label")
-    error = np.abs(column("radius_m") - column("true_radius_m"))
-    sigma, sign = column("sigma_radius_m"), column("gaussian_sign")
-    curvature = np.concatenate([s.gaussian_curvature for s in scored])
-    extremal, fixed = truth == "extremal", truth == "fixed"
-    called = extremal & (label == "extremal")
-    clear = extremal & (np.abs(column("true_radius_m")) > 4 * sigma)
-    curved = called & (np.abs(curvature) > SADDLE)
-    return LookAccuracy(
-        experiment,
-        int(extremal.sum()),
-        int(fixed.sum()),
-        1e3 * float(np.median(error[extremal])),
-        1e3 * float(np.median(sigma[extremal])),
-        float(np.mean(error[extremal] < 1.96 * sigma[extremal])),
-        float(np.mean(error[fixed] < 1.96 * sigma[fixed])),
-        1e3 * float(np.median(np.concatenate(across)[extremal])),
-        float(np.mean(label[fixed] == "extremal")),
-        float(np.mean(label[clear] == "extremal")),
-        float(np.mean((column("side") == column("true_side"))[called])),
-        float(np.mean((sign == np.sign(curvature))[curved])),
-        float(np.mean([c.complete for c in coverages])),
-        float(np.mean([c.transversal for c in coverages])),
-        float(np.mean([c.false for c in coverages])),
-        float(np.median(speeds)),
-    )
-
-
-def _ray_table(rays: dict[str, float]) -> str:
-    rows = [f"| {name} | {value:.1e} |" for name, value in rays.items()]
-    return "\n".join(["| exact rays of | largest R error [mm] |", "|---|---|", *rows])
-
-
-def _look_table(looks: list[LookAccuracy]) -> str:
-    rows = [
-        (
-            "points on extremal boundaries / on fixed features",
-            lambda x: f"{x.extremal_points} / {x.fixed_points}",
-        ),
-        ("median abs(R error), extremal [mm]", lambda x: f"{x.median_radius_error_mm:.3f}"),
-        ("median sigma of R, extremal [mm]", lambda x: f"{x.median_sigma_mm:.3f}"),
-        ("abs(R error) < 1.96 sigma, extremal", lambda x: f"{100 * x.extremal_coverage:.1f} %"),
-        ("abs(R error) < 1.96 sigma, fixed", lambda x: f"{100 * x.fixed_coverage:.1f} %"),
-        (
-            "contour generator, median error across the ray [mm]",
-            lambda x: f"{x.median_position_error_across_mm:.4f}",
-        ),
-        ("fixed features called extremal", lambda x: f"{100 * x.fixed_called_extremal:.1f} %"),
-        (
-            "extremal points with R > 4 sigma called extremal",
-            lambda x: f"{100 * x.extremal_called_extremal:.1f} %",
-        ),
-        ("side of the surface right", lambda x: f"{100 * x.side_right:.1f} %"),
-        ("sign of K right where abs(K) > 20 1/m^2", lambda x: f"{100 * x.gaussian_sign_right:.1f} %"),
-        ("contours and creases covered by tracks that last", lambda x: f"{100 * x.tracked:.1f} %"),
-        ("the same without edges along the epipolar lines", lambda x: f"{100 * x.tracked_transversal:.1f} %"),
-        ("tracks farther than 1 px from any true edge", lambda x: f"{100 * x.false_tracks:.2f} %"),
-        ("vision [frames/s], two looks at a time", lambda x: f"{x.vision_frames_per_s:.0f}"),
-    ]
-    head = ["| | " + " | ".join(x.experiment for x in looks) + " |", "|---" * (len(looks) + 1) + "|"]
-    return "\n".join(
-        head + [f"| {name} | " + " | ".join(show(x) for x in looks) + " |" for name, show in rows]
-    )
+def _run(study: Study, settings: AccuracySettings, progress: Callable[[int, int], None]) -> tuple[Any, str]:
+    """Rows of one study, as JSON takes them, and their table."""
+    trials, seeds = settings.trials, settings.seeds
+    each = -(-trials // seeds)
+    if study == "rays":
+        rays = ray_accuracy()
+        return rays, ray_table(rays)
+    rows: Sequence[Any]
+    if study == "looks":
+        rows = look_study(settings.scene, seeds, progress)
+        table = look_table(rows)
+    elif study == "edges":
+        rows = edge_study(min(seeds, EDGE_FRAMES))
+        table = edge_table(rows)
+    elif study == "planar":
+        rows = joint_study(trials, progress)
+        table = study_table(rows)
+    elif study == "space":
+        rows = spatial_study(trials, progress)
+        table = study_table(rows)
+    elif study == "rendered":
+        rows = rendered_study(seeds, each, progress)
+        table = rendered_table(rows)
+    elif study == "general":
+        rows = general_study(max(1, trials // POINTS), POINTS)
+        table = general_table(rows)
+    else:
+        rows = discrimination_study(trials)
+        table = limit_table(rows)
+    return [asdict(row) for row in rows], table

@@ -13,6 +13,7 @@ from typing import Any
 COMMANDS = {
     "look": "look at a scene: from rendered frames to curvature with its uncertainty, beside the truth",
     "accuracy": "measure accuracy over random vases, lights and noise; makes the tables of docs/accuracy.md",
+    "sensitivity": "show what errors of edges and egomotion do to R: figures 3.11 and 3.12 of the book",
     "doctor": "whether offscreen rendering works here, how exactly and how fast; if not, what to install",
 }
 USAGE_ERROR = 2

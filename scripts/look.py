@@ -66,7 +66,10 @@ class LookSettings:
         own = {k: getattr(self, k) for k in ("views", "baseline", "distance")}
         chosen = EXPERIMENTS[self.experiment] | {k: v for k, v in own.items() if v is not None}
         names = ("quality", "noise", "position_error", "rotation_error")
-        return chosen | {name: getattr(self, name) for name in names}
+        default = "joint" if self.position_error or self.rotation_error else "circle"
+        return (
+            chosen | {name: getattr(self, name) for name in names} | {"estimator": self.estimator or default}
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +125,7 @@ def take_look(
         bar("rendering"),
     )
     rendered = time.perf_counter()
-    shape = estimate_shape(recording.views, bar("contours"), settings.estimator)
+    shape = estimate_shape(recording.views, bar("contours"), settings.estimator, recording.prior)
     seen = time.perf_counter()
     scored = score(shape, recording, scene)
     timing = {

@@ -8,7 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
-from extremal.estimator.poses import pose_exp
+from extremal.estimator.poses import PosePrior, pose_exp, square_root
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,29 @@ class PoseErrors:
     def view_covariance(self) -> Array:
         """(6, 6) covariance of (translation [m], rotation vector [rad]) of what is independent in every view."""
         return np.diag([self.position**2] * 3 + [self.rotation**2] * 3)
+
+    def prior(
+        self,
+        T_world_camera: RigidTransform,
+        joint_positions: Array,
+        forward: Callable[[Array], RigidTransform],
+    ) -> PosePrior:
+        """What these errors let one know of the actual poses, given the believed ones.
+
+        Args:
+            T_world_camera: believed poses (V).
+            joint_positions, forward: as in `believed`.
+        """
+        views, step = len(joint_positions), 1e-6
+        modes = [np.tile(np.diag([self.hand_eye_position] * 3 + [self.hand_eye_rotation] * 3), (views, 1, 1))]
+        here = forward(joint_positions).inv()
+        for turned in step * np.eye(joint_positions.shape[1]):
+            twist = (here * forward(joint_positions + turned)).as_exp_coords() / step
+            moved = np.concatenate([twist[:, 3:], twist[:, :3]], axis=1)
+            modes.append(self.joint_bias * moved[:, :, None])
+        common = np.concatenate(modes, axis=2)
+        root = square_root(np.tile(self.view_covariance, (views, 1, 1)))
+        return PosePrior(T_world_camera, root, common[:, :, np.any(common, axis=(0, 1))])
 
     def believed(
         self,

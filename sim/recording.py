@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array, Camera, View
 from extremal.estimator.errors import InvalidInput
+from extremal.estimator.poses import PosePrior
 from extremal.sim.frames import render_frames
 from extremal.sim.kinematics import ArmKinematics
 from extremal.sim.motion import LinearMotion
@@ -31,6 +32,7 @@ class Recording:
         commanded: T_world_camera (V,) that the motion asked for.
         actual: T_world_camera (V,) from which the frames were taken: FK of the actual joint positions.
         joint_positions: (V, 6) actual joint positions [rad].
+        prior: what the robot knows of its poses, errors that all views share included.
         render_seconds: time spent rendering [s].
     """
 
@@ -38,6 +40,7 @@ class Recording:
     commanded: tuple[RigidTransform, ...]
     actual: tuple[RigidTransform, ...]
     joint_positions: Array
+    prior: PosePrior
     render_seconds: float
 
 
@@ -80,7 +83,8 @@ def record(
         View(camera, believed[i], sensor.read(frame, view_rng), pose_errors.view_covariance)
         for i, (frame, view_rng) in enumerate(zip(frames, noise_rng.spawn(len(frames)), strict=True))
     )
-    return Recording(views, _each(commanded), _each(actual), joint_positions, render_seconds)
+    prior = pose_errors.prior(believed, joint_positions, arm.camera_poses)
+    return Recording(views, _each(commanded), _each(actual), joint_positions, prior, render_seconds)
 
 
 def check_poses(scene: "Scene", camera: Camera, T_world_camera: RigidTransform) -> None:

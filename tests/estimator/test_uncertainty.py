@@ -55,6 +55,32 @@ class Sections:
         rays = rays + np.asarray(angles)[..., None] * sideways
         return osculating_circle(origins[..., None, :, :], rays, sigma, self.planes)
 
+    def tilted(self, circles: OsculatingCircle, seed: int = 1) -> Array:
+        """Unit normals (n, V, 3), of either sign, of planes through the rays, tilted up to 1 rad against the epipolar planes."""
+        rng = np.random.default_rng(seed)
+        angles = rng.uniform(-1, 1, circles.normals.shape[:2])[..., None]
+        normals = np.cos(angles) * circles.normals + np.sin(angles) * circles.plane_normals[:, None]
+        return normals * rng.choice([-1, 1], angles.shape)
+
+    def traces(self, tangent_planes: Array, errors: Array) -> tuple[Array, Array]:
+        """Where planes (n, V, 3) that move with their cameras (..., V, 6) cut epipolar planes that stay: starts and rays."""
+        rotations = self.rotations.as_matrix()
+        turns = Rotation.from_rotvec(errors[..., 3:].reshape(-1, 3)).as_matrix()
+        turns = turns.reshape(*errors.shape[:-1], 3, 3)
+        seen = np.einsum("vji,nvj->nvi", rotations, tangent_planes)
+        normals = np.einsum("vij,...vjk,nvk->...nvi", rotations, turns, seen)
+        origins = self.origins + np.einsum("vij,...vj->...vi", rotations, errors[..., :3])
+        # all epipolar planes contain the x axis: where does a plane n . (r - v) = 0 meet it?
+        met = np.einsum("...nvk,...vk->...nv", normals, origins) / (normals @ TRAVEL)
+        rays = np.cross(normals, self.planes[:, None])
+        forward = np.einsum("vij,nvj->nvi", rotations, self.camera_rays)
+        rays *= np.sign(np.sum(rays * forward, axis=-1, keepdims=True))
+        return met[..., None] * TRAVEL, rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+
+    def retraced(self, tangent_planes: Array, errors: Array) -> OsculatingCircle:
+        """Circles (..., n) of `traces`."""
+        return osculating_circle(*self.traces(tangent_planes, errors), 1e-4, self.planes)
+
 
 def sections(views: int) -> Sections:
     centres = np.array([[0.03, 0.05, 0.5], [-0.05, -0.04, 0.55], [0.0, 0.02, 0.6], [0.02, -0.03, 0.45]])
@@ -78,6 +104,76 @@ def test_pose_gradient_against_finite_differences(views: int) -> None:
     gradient = pose_gradient(scene.circles(np.zeros((views, 6))), scene.views(np.zeros((6, 6))))
     assert gradient.shape == (4, views, 6)
     assert_jacobian(radius, gradient.reshape(4, -1), np.zeros(6 * views), rtol=1e-6, step=1e-5)
+
+
+@pytest.mark.parametrize("views", [3, 7])
+def test_pose_gradient_of_tilted_contours_against_finite_differences(views: int) -> None:
+    scene = sections(views)
+    exact = scene.circles(np.zeros((views, 6)))
+    planes = scene.tilted(exact)
+
+    def radius(errors: Array) -> Array:
+        return scene.retraced(planes, errors.reshape(views, 6)).radius
+
+    np.testing.assert_allclose(radius(np.zeros(6 * views)), scene.radii, atol=1e-9)
+    gradient = pose_gradient(exact, scene.views(np.zeros((6, 6))), planes)
+    assert_jacobian(radius, gradient.reshape(4, -1), np.zeros(6 * views), rtol=1e-6, step=1e-5)
+
+
+def test_pose_gradient_of_upright_contours_is_the_default() -> None:
+    scene = sections(5)
+    exact = scene.circles(np.zeros((5, 6)))
+    views = scene.views(np.zeros((6, 6)))
+    expected = pose_gradient(exact, views)
+    for sign in (1, -1):
+        np.testing.assert_allclose(pose_gradient(exact, views, sign * exact.normals), expected)
+
+
+def test_contours_along_their_epipolar_planes_have_large_but_finite_gradients() -> None:
+    scene = sections(5)
+    exact = scene.circles(np.zeros((5, 6)))
+    along = np.broadcast_to(exact.plane_normals[:, None], exact.normals.shape)
+    views = scene.views(np.eye(6))
+    gradient = pose_gradient(exact, views, along)
+    assert np.all(np.isfinite(gradient)) and np.all(np.isfinite(pose_angle_sigma(exact, views, along)))
+    assert np.abs(gradient).max() > 100 * np.abs(pose_gradient(exact, views)).max()
+
+
+def test_covariance_of_tilted_contours_by_monte_carlo() -> None:
+    """Radii of a limb and a fixed point, absolute and relative, in errors of the poses in all six directions."""
+    rng, views, trials = np.random.default_rng(8), 9, 4000
+    scene = Sections(views, np.array([[0.03, 0.05, 0.5], [0.06, 0.05, 0.52]]), np.array([0.03, 0.0]))
+    covariance = np.diag([3e-4] * 3 + [3e-4] * 3) ** 2
+    exact = scene.circles(np.zeros((views, 6)))
+    planes = scene.tilted(exact)
+    errors = rng.normal(size=(trials, views, 6)) * np.sqrt(np.diag(covariance))
+    radius = scene.retraced(planes, errors).radius
+    gradient = pose_gradient(exact, scene.views(covariance), planes)
+    expected = np.einsum("nvi,ij,mvj->nm", gradient, covariance, gradient)
+    whitened = np.linalg.solve(np.linalg.cholesky(expected), (radius - scene.radii).T)
+    # standard error of a variance from n samples: sqrt(2 / n)
+    bound = 5 * np.sqrt(2 / trials) + 0.02
+    np.testing.assert_allclose(whitened @ whitened.T / trials, np.eye(2), atol=bound)
+    relative, sigma = relative_radius(
+        exact, np.zeros(2), gradient, scene.views(covariance), np.array([0]), np.array([1])
+    )
+    error = radius[:, 0] - radius[:, 1] - relative[0]
+    assert np.mean(error**2) / sigma[0] ** 2 == pytest.approx(1, abs=bound)
+    upright = pose_gradient(exact, scene.views(covariance))
+    assert np.all(np.einsum("nvi,ij,nvj->n", upright, covariance, upright) < np.diag(expected))
+
+
+def test_angles_of_tilted_contours_by_monte_carlo() -> None:
+    scene, rng, trials = sections(4), np.random.default_rng(9), 4000
+    covariance = np.diag([1e-3, 2e-3, 3e-3, 1e-3, 2e-3, 3e-3]) ** 2 / 4
+    exact = scene.circles(np.zeros((4, 6)))
+    planes = scene.tilted(exact)
+    sigma = pose_angle_sigma(exact, scene.views(covariance), planes)
+    starts, rays = scene.traces(planes, rng.normal(size=(trials, 4, 6)) * np.sqrt(np.diag(covariance)))
+    # how far each trace passes by the exact contact point
+    off = np.sum((starts - exact.points) * np.cross(rays, scene.planes[:, None]), axis=-1) / exact.distances
+    ratio = np.mean(off**2, axis=0) / sigma**2
+    assert np.abs(ratio - 1).max() < 5 * np.sqrt(2 / trials) + 0.02
 
 
 def test_pose_gradient_of_common_errors() -> None:

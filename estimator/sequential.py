@@ -1,0 +1,224 @@
+"""Shape while the camera moves: contours of every new view, matched to the tracks and taken into the contour filter.
+
+The first few views are held until they can start the tracks, by the sweep of `tracking`. From then on a view is found,
+matched and absorbed in a time that doesn't depend on how many came before: an information filter on circles
+predicts where contours cross their epipolar planes (`circle_filter`), the contour filter keeps what all views tell of
+shape and poses together. Tracks that start later are not picked up.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform
+from threadpoolctl import threadpool_limits
+
+from extremal.estimator.camera import Array, View
+from extremal.estimator.circle_filter import CircleFilter
+from extremal.estimator.contour_filter import ContourFilter
+from extremal.estimator.contours import Contours, find_contours
+from extremal.estimator.epipolar import SHORTEST_BASELINE, Sequence3D
+from extremal.estimator.errors import DegenerateGeometry, InvalidInput
+from extremal.estimator.estimates import LEAST_VIEWS, OVERLAP, fit_circles
+from extremal.estimator.joint import sections_of
+from extremal.estimator.matching import EdgelMap, cross, reach_of
+from extremal.estimator.poses import square_root
+from extremal.estimator.references import bootstrap
+from extremal.estimator.tracking import GATE, LEAST_GATE, PARALLEL, track
+
+ROUGH = 0.04  # of the distance: sigma of a depth from the first views
+CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveShape:
+    """n contour points after the views so far.
+
+    Attributes:
+        radius, sigma_radius: (n,) [m] signed radius of curvature of the epipolar section; sigma is infinite where unknown.
+        own_variance, shared: (n,) [m^2], (n, m) of the radii's joint covariance, as in `SectionEstimates`.
+        position: (n, 3) [m] contact point in the view in which the tracks started; covariance: (n, 3, 3) [m^2] in the
+            epipolar plane.
+        extremal: (n,) label by eq. 3.27. contour: (n,) image contour on which a point started.
+        pixels: (n, 2) where it was last seen. views: (n,) in which it was seen.
+        T_world_camera, pose_covariance: of the latest view, (6, 6) in its frame.
+    """
+
+    radius: Array
+    sigma_radius: Array
+    own_variance: Array
+    shared: Array
+    position: Array
+    covariance: Array
+    extremal: np.ndarray
+    contour: np.ndarray
+    pixels: Array
+    views: np.ndarray
+    T_world_camera: RigidTransform
+    pose_covariance: Array
+
+
+class SequentialShape:
+    """Tracks contour points and estimates their shape view by view.
+
+    Attributes:
+        fixed: (n,) points that are believed to be fixed, once tracks have started; set it as references become known.
+        started: whether there are tracks.
+    """
+
+    def __init__(self, start: int = 5, baseline: float = 0.02) -> None:
+        """
+        Args:
+            start: number of views, at least 3, and baseline: way of the camera [m], that have to be seen before tracks start.
+                Until then a view from where the last one was is left out.
+        """
+        if start < LEAST_VIEWS or not baseline > SHORTEST_BASELINE:
+            raise InvalidInput(
+                f"start is {start!r}, baseline {baseline!r}; accepted: from {LEAST_VIEWS} views, above {SHORTEST_BASELINE} m"
+            )
+        self._start, self._baseline = start, baseline
+        self._waiting: list[tuple[View, Contours]] = []
+        self.started = False
+
+    @property
+    def fixed(self) -> np.ndarray:
+        self._require_tracks()
+        return self._filter.fixed
+
+    @fixed.setter
+    def fixed(self, fixed: np.ndarray) -> None:
+        self._require_tracks()
+        self._filter.fixed = fixed
+
+    def update(self, view: View) -> None:
+        """Take in a view; its pose covariance must have the same rank as those before it.
+
+        Raises InvalidInput for a pose covariance that is not positive semi-definite.
+        """
+        with threadpool_limits(1, "blas"):
+            contours = find_contours(view.image, view.camera)
+            if self.started:
+                self._follow(view, contours)
+                return
+            step = self._baseline / (2 * self._start)
+            if self._waiting and np.linalg.norm(view.centre - self._waiting[-1][0].centre) < step:
+                return  # the sweep needs views from different places
+            if (
+                len(self._waiting) >= 2 * self._start
+            ):  # the camera hardly gets on: half of these views will do
+                self._waiting = self._waiting[::2]
+            self._waiting.append((view, contours))
+            centres = np.array([v.centre for v, _ in self._waiting])
+            if (
+                len(centres) >= self._start
+                and np.linalg.norm(centres - centres[0], axis=1).max() >= self._baseline
+            ):
+                self._begin()
+
+    def _begin(self) -> None:
+        """Tracks from the sweep over the first views, which the filters then take in."""
+        views, contours = [v for v, _ in self._waiting], [c for _, c in self._waiting]
+        sequence = Sequence3D.of(views)
+        self._reach, self._travel, middle = reach_of(sequence), sequence.travel, len(views) // 2
+        maps = [EdgelMap(c, v.camera.width, v.camera.height, self._reach) for v, c in self._waiting]
+        tracks = track(sequence, contours, maps, middle)
+        fit = fit_circles(views, sequence, tracks)
+        chosen = np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
+        sections = sections_of(sequence, tracks, fit, chosen)
+        distance = np.linalg.norm(sections.origin - sequence.centres[middle], axis=1)
+        self._filter = ContourFilter(sections.origin, sections.frame, ROUGH * distance, OVERLAP)
+        self._origin, self._frame, self._contour = sections.origin, sections.frame, tracks.contour[chosen]
+        self._planes = tracks.planes.take(chosen)
+        self._loose = np.isinf(sections.sigma[:, 0, middle])
+        self._pixels, self._views = tracks.pixels[chosen, -1], np.zeros(len(chosen), int)
+        rays, sigma = tracks.rays[chosen], tracks.sigma[chosen]
+        self._circles = CircleFilter(self._planes, rays[:, middle], distance, sigma[:, middle])
+        for i, view in enumerate(views):
+            if i != middle:
+                total = np.hypot(sigma[:, i], sequence.pose_sigma(i, distance))
+                self._circles.update(tracks.seen[chosen, i], view.centre, rays[:, i], total, sections.origin)
+            self._absorb(view, sections.normals[:, 0, i], sections.sigma[:, 0, i])
+        tangents = tracks.tangents[chosen]
+        bright = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
+        self._direction = bright @ sequence.rotations[middle][:, :2].T
+        self.started, self._waiting = True, []
+
+    def _absorb(self, view: View, normals: Array, sigma: Array) -> None:
+        self._views += np.isfinite(sigma)
+        self._filter.update(view.T_world_camera, _root(view), normals, sigma)
+
+    def _follow(self, view: View, contours: Contours) -> None:
+        """Match the tracks with the contours of a view."""
+        sequence = _alone(view, self._travel)
+        points, spread = self._circles.predict(view.centre)
+        distance = np.linalg.norm(points - view.centre, axis=1)
+        edgels = EdgelMap(contours, view.camera.width, view.camera.height, self._reach)
+        found = cross(sequence, contours, edgels, 0, self._planes, points, self._direction, self._loose)
+        sigma = np.hypot(found.sigma, sequence.pose_sigma(0, distance))
+        gate = LEAST_GATE / view.camera.fx + GATE * np.hypot(spread, sigma)
+        ok = found.found & (np.abs(self._circles.innovation(view.centre, points, found.rays)) < gate)
+        self._circles.update(ok, view.centre, found.rays, sigma, points)
+        self._direction = np.where(ok[:, None], found.directions, self._direction)
+        self._pixels = np.where(ok[:, None], found.pixels, self._pixels)
+        across = np.cross(found.rays, self._planes.normal)
+        across *= np.where(across @ self._travel < 0, -1.0, 1.0)[:, None]
+        tilt = np.sum(found.tangent_planes * across, axis=1) / np.linalg.norm(across, axis=1)
+        normals = found.tangent_planes * np.where(tilt < 0, -1.0, 1.0)[:, None]
+        ok &= np.abs(tilt) > PARALLEL
+        in_camera = normals @ sequence.rotations[0]
+        self._absorb(view, in_camera, np.where(ok, np.where(ok, found.sigma, 1.0) * np.abs(tilt), np.inf))
+
+    def bootstrap(self) -> None:
+        """Find the references among the points and set `fixed` (see `references`). Of use once the baseline tells radii apart.
+
+        Raises DegenerateGeometry before there are tracks.
+        """
+        self._require_tracks()
+        free = self._filter.sections(np.zeros(len(self._contour), bool))
+        own = np.where(free.valid, free.own_variance, np.inf)
+        self.fixed = bootstrap(free.radius, own, free.shared, self._contour, overlap=OVERLAP).fixed
+
+    def _require_tracks(self) -> None:
+        if not self.started:
+            raise DegenerateGeometry(
+                f"{len(self._waiting)} view(s) wait; tracks start with {self._start} views over {self._baseline} m"
+            )
+
+    def shape(self) -> LiveShape:
+        """Shape from all views so far; points `fixed` are taken for references.
+
+        Raises DegenerateGeometry before there are tracks.
+        """
+        self._require_tracks()
+        found = self._filter.sections(self.fixed)
+        plane = self._frame[:, :2]
+        position = self._origin + np.einsum("ni,nij->nj", found.theta[:, :2], plane)
+        spread = np.where(found.valid[:, None, None], found.covariance, 0.0)[:, :2, :2]
+        covariance = np.swapaxes(plane, 1, 2) @ spread @ plane
+        covariance[~found.valid] = np.inf
+        return LiveShape(
+            found.radius,
+            found.sigma_radius,
+            found.own_variance,
+            found.shared,
+            position,
+            covariance,
+            np.abs(found.radius) > CONFIDENCE * found.sigma_radius,
+            self._contour,
+            self._pixels,
+            self._views,
+            self._filter.T_world_camera,
+            self._filter.pose_covariance,
+        )
+
+
+def _alone(view: View, travel: Array) -> Sequence3D:
+    """One view as a sequence with the travel of those before it."""
+    variance = np.diagonal(view.pose_covariance).reshape(1, 2, 3).mean(axis=2)
+    rotation = view.T_world_camera.rotation.as_matrix()
+    return Sequence3D((view.camera,), rotation[None], view.centre[None], travel, *np.sqrt(variance).T)
+
+
+def _root(view: View) -> Array:
+    """(6, 6) square root of the pose's covariance, or (6, 0) of an exact pose."""
+    root = square_root(view.pose_covariance[None])[0]
+    return np.pad(root, ((0, 0), (0, 6 - root.shape[1]))) if root.shape[1] else root

@@ -223,20 +223,26 @@ def _estimate(found: _Round) -> Estimate:
     every, shared = np.full(len(fixed), np.inf), np.zeros((len(fixed), shape.shared.shape[1]))
     every[chosen], shared[chosen] = own, shape.shared
     relative = parallax(out.radius, every, shared, fixed, tracks)
-    position, covariance = _contact(views[reference], sections, shape, reference)
+    pixels = tracks.pixels[chosen, reference]
+    position, covariance = _contact(views[reference], pixels, sections, shape, reference)
     out.position[chosen] = position
     out.covariance[chosen] = covariance * inflation[:, None, None]
     return replace(out, **dict(zip(("relative", "sigma_relative", "relative_to"), relative, strict=True)))
 
 
-def _contact(view: View, sections: Sections, shape: Shapes, reference: int) -> tuple[Array, Array]:
-    """Contact points (n, 3) in the reference view and their covariance (n, 3, 3): in the section's plane that of its
-    parameters, off it that of the view's pose, which says where the pixel's ray runs."""
+def _contact(
+    view: View, pixels: Array, sections: Sections, shape: Shapes, reference: int
+) -> tuple[Array, Array]:
+    """Contact points (n, 3) on the rays of the reference view and their covariance (n, 3, 3): in the section's plane that of
+    its parameters, off it that of the view's pose, which says where the pixel's ray runs."""
     rotation = view.T_world_camera.rotation.as_matrix()
     normals = sections.normals[:, 0, reference] @ rotation.T
     local = np.einsum("nij,nj->ni", sections.frame, normals)[:, None, None]
     contact = sections.contact(local, shape.theta)[:, 0, 0]
     position = sections.origin + np.einsum("ni,nij->nj", contact, sections.frame)
+    # adjusted, the ray leaves the section a little, along the contour generator
+    rays = view.rays(pixels)
+    position = view.centre + np.sum((position - view.centre) * rays, axis=1, keepdims=True) * rays
     off = sections.frame[:, 2] @ rotation
     lever = np.concatenate([off, np.cross((position - view.centre) @ rotation, off)], axis=1)
     covariance = np.zeros((len(position), 3, 3))

@@ -11,7 +11,11 @@ from extremal.estimator.errors import (
     RenderingError,
     SceneError,
 )
+from extremal.estimator.poses import PosePrior
+from extremal.estimator.second_order import SecondOrderShape, second_order_shape
+from extremal.estimator.sequential import LiveShape, SequentialShape
 from extremal.estimator.shape import Shape, all_contours, estimate_shape, shape_from_contours
+from extremal.estimator.support import Points, Sections
 
 __all__ = [
     "Adjustment",
@@ -20,9 +24,15 @@ __all__ = [
     "DegenerateGeometry",
     "ExtremalError",
     "InvalidInput",
+    "LiveShape",
     "OsculatingCircle",
+    "Points",
+    "PosePrior",
     "RenderingError",
     "SceneError",
+    "SecondOrderShape",
+    "Sections",
+    "SequentialShape",
     "Shape",
     "View",
     "adjust",
@@ -30,5 +40,6 @@ __all__ = [
     "estimate_shape",
     "find_contours",
     "osculating_circle",
+    "second_order_shape",
     "shape_from_contours",
 ]

@@ -8,6 +8,7 @@ from extremal.estimator.errors import (
     DegenerateGeometry,
     ExtremalError,
     InvalidInput,
+    NotConverged,
     RenderingError,
     SceneError,
 )
@@ -25,6 +26,7 @@ __all__ = [
     "ExtremalError",
     "InvalidInput",
     "LiveShape",
+    "NotConverged",
     "OsculatingCircle",
     "Points",
     "PosePrior",

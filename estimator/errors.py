@@ -13,6 +13,10 @@ class DegenerateGeometry(ExtremalError, ValueError):
     """Views or rays that do not determine what was asked for."""
 
 
+class NotConverged(ExtremalError, RuntimeError):
+    """An estimate that did not settle, so that no uncertainty could be stood for."""
+
+
 class SceneError(ExtremalError, ValueError):
     """A scene that is unknown, unreadable or impossible."""
 

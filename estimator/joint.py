@@ -11,9 +11,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from extremal.estimator.adjustment import Adjustment, Shapes, adjust, survey
+from extremal.estimator.adjustment import STEPS, Adjustment, Shapes, adjust, survey
 from extremal.estimator.camera import Array, View
 from extremal.estimator.epipolar import Sequence3D
+from extremal.estimator.errors import NotConverged
 from extremal.estimator.estimates import (
     DRIFT,
     LEAST_VIEWS,
@@ -61,9 +62,16 @@ def joint_estimate(
     Args:
         views: with the poses that the robot believes. prior: what is known of these poses.
         tracker: finds the tracks of a sequence.
+
+    Raises NotConverged.
     """
     first = _round(views, prior, tracker, None)
     second = _round(first.views, prior, tracker, first.adjustment)
+    if second.adjustment and not second.adjustment.converged:
+        raise NotConverged(
+            f"the joint adjustment of {len(views)} views and {len(second.chosen)} tracks did not settle in {STEPS} steps; "
+            "accepted: poses whose errors are as their covariance says, or --estimator circle"
+        )
     return second.views, second.tracks, _estimate(second)
 
 
@@ -76,7 +84,7 @@ def _round(views: list[View], prior: PosePrior, tracker: Tracker, start: Adjustm
         return _Round(views, sequence, tracks, chosen, None, None, None)
     sections = sections_of(sequence, tracks, fit, chosen)
     adjustment, sections, shapes = _bootstrapped(prior, sections, tracks, chosen, start.u if start else None)
-    return _Round(_moved(views, adjustment), sequence, tracks, chosen, sections, adjustment, shapes)
+    return _Round(_moved(views, prior, adjustment), sequence, tracks, chosen, sections, adjustment, shapes)
 
 
 def sections_of(sequence: Sequence3D, tracks: Tracks, fit: Circles, chosen: np.ndarray) -> Sections:
@@ -189,13 +197,18 @@ def _orders(
     return order
 
 
-def _moved(views: list[View], adjustment: Adjustment) -> list[View]:
-    """The views with adjusted poses; where these did not converge, as they were."""
-    if not adjustment.converged:
-        return views
+def _moved(views: list[View], prior: PosePrior, adjustment: Adjustment) -> list[View]:
+    """The views with adjusted poses, and with what is uncertain about each pose by itself: errors that all views share move
+    scene and cameras together, and don't matter to tracking. It stays as it was where the adjustment can't tell."""
+    count, _, own = prior.root.shape
+    spread = adjustment.root[:, : count * own].reshape(-1, count, own)
+    spread = np.einsum("vik,uvk->viu", prior.root, spread)
+    covariance = spread @ np.swapaxes(spread, 1, 2)
     return [
         replace(
-            view, T_world_camera=adjustment.T_world_camera[i], pose_covariance=adjustment.pose_covariance[i]
+            view,
+            T_world_camera=adjustment.T_world_camera[i],
+            pose_covariance=covariance[i] if adjustment.converged else view.pose_covariance,
         )
         for i, view in enumerate(views)
     ]
@@ -205,7 +218,7 @@ def _estimate(found: _Round) -> Estimate:
     """The adjustment's shapes, their variances widened by what they leave of the edgels."""
     views, tracks, chosen, sections = found.views, found.tracks, found.chosen, found.sections
     out = _nothing(tracks)
-    if sections is None or found.shapes is None:
+    if sections is None or found.shapes is None or found.adjustment is None:
         return out
     shape, reference = found.shapes, tracks.reference
     seen = np.isfinite(sections.sigma[:, 0])
@@ -224,7 +237,8 @@ def _estimate(found: _Round) -> Estimate:
     every[chosen], shared[chosen] = own, shape.shared
     relative = parallax(out.radius, every, shared, fixed, tracks)
     pixels = tracks.pixels[chosen, reference]
-    position, covariance = _contact(views[reference], pixels, sections, shape, reference)
+    view = replace(views[reference], pose_covariance=found.adjustment.pose_covariance[reference])
+    position, covariance = _contact(view, pixels, sections, shape, reference)
     out.position[chosen] = position
     out.covariance[chosen] = covariance * inflation[:, None, None]
     return replace(out, **dict(zip(("relative", "sigma_relative", "relative_to"), relative, strict=True)))

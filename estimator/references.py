@@ -101,10 +101,14 @@ class _Problem:
             mean, variance = self.given(fixed)
             probability = self.probability(mean, variance)
             chosen = _discoveries(probability)
+            if fixed.sum() == 1:  # which can't be judged by itself: it stays while others join it, or do not
+                chosen |= fixed
             if np.array_equal(chosen, fixed) or not chosen.any():
                 fixed = chosen
                 break
             fixed = chosen
+        if fixed.sum() == 1:  # no pair
+            fixed[:] = False
         mean, variance = self.given(fixed)
         sigma = np.sqrt(variance)
         # a rival: a feature that can't be fixed if these are, and explains the radii nearly as well
@@ -145,8 +149,8 @@ class _Problem:
         """Probability (n,) that a feature is fixed: both its own radius and its neighbours' along the contour must say so."""
         zero, free = self.densities(mean, variance)
         odds = np.clip(zero - free, -30.0, 30.0)
-        pooled, _ = window_sum(odds, self.contour, round(2 * self.overlap))
-        return 1 / (1 + np.exp(-np.minimum(odds, pooled / self.overlap)))
+        pooled, count = window_sum(odds, self.contour, round(2 * self.overlap))
+        return 1 / (1 + np.exp(-np.minimum(odds, pooled / np.minimum(self.overlap, count))))
 
     def given(self, fixed: np.ndarray) -> tuple[Array, Array]:
         """Mean and variance (n,) of every radius given that those of `fixed` are zero; of each of these given the others."""

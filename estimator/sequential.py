@@ -18,7 +18,7 @@ from extremal.estimator.contour_filter import ContourFilter
 from extremal.estimator.contours import Contours, find_contours
 from extremal.estimator.epipolar import SHORTEST_BASELINE, Sequence3D
 from extremal.estimator.errors import DegenerateGeometry, InvalidInput
-from extremal.estimator.estimates import LEAST_VIEWS, OVERLAP, fit_circles
+from extremal.estimator.estimates import DRIFT, LEAST_VIEWS, OVERLAP, fit_circles
 from extremal.estimator.joint import sections_of
 from extremal.estimator.matching import EdgelMap, cross, reach_of
 from extremal.estimator.poses import square_root
@@ -125,6 +125,7 @@ class SequentialShape:
         chosen = np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
         sections = sections_of(sequence, tracks, fit, chosen)
         distance = np.linalg.norm(sections.origin - sequence.centres[middle], axis=1)
+        self._drift = DRIFT * distance / views[middle].camera.fx
         self._filter = ContourFilter(sections.origin, sections.frame, ROUGH * distance, OVERLAP)
         self._origin, self._frame, self._contour = sections.origin, sections.frame, tracks.contour[chosen]
         self._planes = tracks.planes.take(chosen)
@@ -190,6 +191,7 @@ class SequentialShape:
         """
         self._require_tracks()
         found = self._filter.sections(self.fixed)
+        sigma = np.hypot(found.sigma_radius, self._drift)
         plane = self._frame[:, :2]
         position = self._origin + np.einsum("ni,nij->nj", found.theta[:, :2], plane)
         spread = np.where(found.valid[:, None, None], found.covariance, 0.0)[:, :2, :2]
@@ -197,12 +199,12 @@ class SequentialShape:
         covariance[~found.valid] = np.inf
         return LiveShape(
             found.radius,
-            found.sigma_radius,
+            sigma,
             found.own_variance,
             found.shared,
             position,
             covariance,
-            np.abs(found.radius) > CONFIDENCE * found.sigma_radius,
+            np.abs(found.radius) > CONFIDENCE * sigma,
             self._contour,
             self._pixels,
             self._views,

@@ -99,6 +99,7 @@ def estimate_shape(
     Raises:
         DegenerateGeometry: fewer than three views, or a camera that does not move.
         InvalidInput: an unknown estimator, or a prior of another number of views.
+        NotConverged: the joint estimate did not settle.
     """
     _checked(views, estimator, prior)
     return shape_from_contours(views, all_contours(views, progress), estimator, prior)

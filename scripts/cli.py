@@ -54,7 +54,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _help() -> str:
-    commands = "\n".join(f"  {name:10}{summary}" for name, summary in COMMANDS.items())
+    commands = "\n".join(f"  {name:12}{summary}" for name, summary in COMMANDS.items())
     return (
         f"usage: extremal COMMAND [options]\n\n{metadata.metadata('extremal')['Summary']}\n\ncommands:\n{commands}\n\n"
         "options:\n  --help    this; `extremal COMMAND --help` explains a command's options\n"

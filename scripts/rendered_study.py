@@ -6,13 +6,13 @@ tracking and estimation run as in `look`.
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from multiprocessing import get_context
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from extremal.estimator import Camera, Contours, Shape, View, all_contours, shape_from_contours
+from extremal.estimator import Camera, Contours, NotConverged, Shape, View, all_contours, shape_from_contours
 from extremal.estimator.poses import pose_exp
 from extremal.estimator.shape import Estimator
 from extremal.scenes import Scene, load_scene, randomised
@@ -121,7 +121,10 @@ def _sample(scene: Scene, recording: Recording, contours: Sequence[Contours], me
         chosen = [0, len(chosen) // 2, len(chosen) - 1]
     views = tuple(recording.views[i] for i in chosen)
     part = replace(recording, views=views, actual=tuple(recording.actual[i] for i in chosen))
-    shape = shape_from_contours(views, [contours[i] for i in chosen], METHODS[method])
+    try:
+        shape = shape_from_contours(views, [contours[i] for i in chosen], METHODS[method])
+    except NotConverged:
+        return _Sample(*[np.zeros(0)] * len(fields(_Sample)))
     return _errors(shape, score(shape, part, scene), views[shape.reference], part.actual[shape.reference])
 
 

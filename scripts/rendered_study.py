@@ -30,7 +30,7 @@ METHODS: dict[str, Estimator] = {
     "parallax": "parallax",
     "joint": "joint",
 }
-COMPARED = 5  # draws of each vase in which the other methods run beside joint
+COMPARED = 3  # draws of each vase in which the other methods run beside joint
 UPRIGHT = 0.3  # sine of the angle to the epipolar line from which a fixed feature counts as transversal
 
 

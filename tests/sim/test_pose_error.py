@@ -63,6 +63,22 @@ def test_joint_bias_goes_through_the_arm() -> None:
         assert np.abs((covariance - expected) / scale).max() < 5 * np.sqrt(2 / count)
 
 
+def test_the_prior_knows_what_all_views_share() -> None:
+    """Errors without repeatability are few common numbers, of unit variance, times the prior's columns."""
+    q = HOME + np.random.default_rng(5).uniform(-0.5, 0.5, (7, 6))
+    model = PoseErrors(hand_eye_position=1e-4, hand_eye_rotation=2e-4, joint_bias=1e-4)
+    prior = model.prior(ARM.camera_poses(q), q, ARM.camera_poses)
+    assert prior.root.shape == (7, 6, 0) and prior.common.shape == (7, 6, 12)
+    trials, columns = 400, prior.common.reshape(42, 12)
+    found = np.array([errors(model, q, seed).ravel() for seed in range(trials)])
+    numbers = np.linalg.lstsq(columns, found.T, rcond=None)[0]
+    assert np.abs(columns @ numbers - found.T).max() < 1e-6  # what is of second order
+    spread = np.mean(found**2, axis=0) / np.sum(columns**2, axis=1)
+    assert np.abs(spread - 1).max() < 5 * np.sqrt(2 / trials)
+    assert PoseErrors().prior(ARM.camera_poses(q), q, ARM.camera_poses).exact
+    assert PoseErrors(position=1e-3).prior(ARM.camera_poses(q), q, ARM.camera_poses).root.shape == (7, 6, 3)
+
+
 def test_draws_do_not_depend_on_the_sizes() -> None:
     q = HOME + np.zeros((3, 6))
     small, large = (errors(PoseErrors(position=s, joint_bias=0.0), q, 7) for s in (1e-6, 1e-3))

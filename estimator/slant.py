@@ -34,7 +34,8 @@ def smoothed_tangent_planes(
     m = plane_normals[:, None]
     across = np.cross(rays, m)
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    up = np.cross(across, rays)  # m, but for a camera that is a little off the plane: perpendicular to the ray
+    # m, but perpendicular to the ray, also where a camera is a little off the plane
+    up = np.cross(across, rays)
     first = across[:, reference, None]
     cosine = np.sum(across * first, axis=-1)
     sine = np.sum(np.cross(first, across) * m, axis=-1)

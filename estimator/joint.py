@@ -13,7 +13,7 @@ import numpy as np
 
 from extremal.estimator.adjustment import STEPS, Adjustment, Shapes, adjust, survey
 from extremal.estimator.camera import Array, View
-from extremal.estimator.epipolar import Sequence3D
+from extremal.estimator.epipolar import EpipolarPlanes, Sequence3D
 from extremal.estimator.errors import NotConverged
 from extremal.estimator.estimates import (
     DRIFT,
@@ -72,7 +72,20 @@ def joint_estimate(
             f"the joint adjustment of {len(views)} views and {len(second.chosen)} tracks did not settle in {STEPS} steps; "
             "accepted: poses whose errors are as their covariance says, or --estimator circle"
         )
-    return second.views, second.tracks, _estimate(second)
+    return second.views, _carried(second.tracks, second.sequence, second.views), _estimate(second)
+
+
+def _carried(tracks: Tracks, sequence: Sequence3D, views: list[View]) -> Tracks:
+    """The tracks' directions, turned with the cameras from the poses with which they were followed to the adjusted ones."""
+    after = np.array([v.T_world_camera.rotation.as_matrix() for v in views])
+    turns = after @ np.swapaxes(sequence.rotations, 1, 2)
+    turn, planes = turns[tracks.reference], tracks.planes
+    turned = EpipolarPlanes(
+        views[tracks.reference].centre, turn @ planes.along, planes.across @ turn.T, planes.normal @ turn.T
+    )
+    rays = np.einsum("vij,nvj->nvi", turns, tracks.rays)
+    tangent_planes = np.einsum("vij,nvj->nvi", turns, tracks.tangent_planes)
+    return replace(tracks, planes=turned, rays=rays, tangent_planes=tangent_planes)
 
 
 def _round(views: list[View], prior: PosePrior, tracker: Tracker, start: Adjustment | None) -> _Round:

@@ -6,6 +6,7 @@ holding these fixed settles the rest. Contours are then tracked once more with t
 epipolar planes and matches better, and adjusted again, with the robot's prior as it was.
 """
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
@@ -151,9 +152,9 @@ def _bootstrapped(
     held = adjust(prior, [_without_outliers(sections.take(guides), held.shapes[0])], OVERLAP, held.u)
     sections = _without_outliers(sections, survey(prior, sections, held))
     varying = ~fixed & many
-    sections = replace(sections, order=_orders(prior, sections, held, varying, contour))
+    order, full = _orders(prior, sections, held, varying, contour)
+    sections = replace(sections, order=order)
     surveyed = survey(prior, sections, held)
-    full = survey(prior, replace(sections, order=np.where(varying, MOST, sections.order)), held)
     surveyed = _undecided(surveyed, full, varying, contour)
     return held, sections, _combined(held.shapes[0], surveyed, fixed, guides)
 
@@ -199,15 +200,17 @@ def _without_outliers(sections: Sections, shapes: Shapes) -> Sections:
 
 def _orders(
     prior: PosePrior, sections: Sections, held: Adjustment, varying: np.ndarray, contour: np.ndarray
-) -> np.ndarray:
-    """Order (n,) of every section; of those that may vary the one for which their neighbours along the contour speak."""
-    order, chi2 = np.where(sections.order == FIXED, FIXED, CIRCLE), []
-    for k in range(CIRCLE, MOST + 1):
-        tried = replace(sections, order=np.where(varying, k, order))
-        chi2.append(np.sum(survey(prior, tried, held).residuals ** 2, axis=(1, 2)))
-        if k > CIRCLE:
-            order[pooled_evidence(chi2[-2] - chi2[-1], varying, contour) & varying] = k
-    return order
+) -> tuple[np.ndarray, Shapes]:
+    """Order (n,) of every section, for those that may vary by evidence pooled along contours; the shapes of the full order."""
+    order = np.where(sections.order == FIXED, FIXED, CIRCLE)
+    tried = [
+        survey(prior, replace(sections, order=np.where(varying, k, order)), held)
+        for k in range(CIRCLE, MOST + 1)
+    ]
+    chi2 = [np.sum(shapes.residuals**2, axis=(1, 2)) for shapes in tried]
+    for k, (before, after) in enumerate(itertools.pairwise(chi2), CIRCLE + 1):
+        order[pooled_evidence(before - after, varying, contour) & varying] = k
+    return order, tried[-1]
 
 
 def _moved(views: list[View], prior: PosePrior, adjustment: Adjustment) -> list[View]:

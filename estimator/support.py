@@ -12,6 +12,7 @@ support is n . (v - o). What the plane touches is linear in few parameters theta
 - *Points*, seen by two planes a view: theta are their coordinates.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
@@ -25,7 +26,7 @@ MOST = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Features:
+class Features(ABC):
     """n features in V views, each of which shows L tangent planes of theirs (1 of a section, 2 of a point).
 
     Attributes:
@@ -64,13 +65,13 @@ class Features:
         """The features [rows]."""
         return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(Features)})
 
+    @abstractmethod
     def columns(self, normals: Array) -> Array:
         """x(n) (..., width) for normals (n, L, V, 3) in the features' frames; zero beyond a feature's order."""
-        raise NotImplementedError
 
+    @abstractmethod
     def contact(self, normals: Array, theta: Array) -> Array:
         """Contact points (n, L, V, 3) = dh/dn in the features' frames, from their origins, for theta (n, width)."""
-        raise NotImplementedError
 
 
 class Sections(Features):

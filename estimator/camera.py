@@ -24,6 +24,7 @@ class Camera:
         cx, cy: principal point [px]; default: the image centre, ((width - 1) / 2, (height - 1) / 2).
         distortion: (k1, k2, p1, p2, k3) of the Brown-Conrady model.
         blur: standard deviation of the optical point-spread function [px], without the pixel's own area.
+        gamma: grey levels are 255 (E / 255)^(1 / gamma) of the light E in 0..255; 1: proportional to it.
     """
 
     width: int = 640
@@ -34,6 +35,7 @@ class Camera:
     cy: float = field(default=float("nan"))
     distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
     blur: float = 0.7
+    gamma: float = 1.0
 
     def __post_init__(self) -> None:
         for name, size in (("width", self.width), ("height", self.height)):
@@ -53,6 +55,8 @@ class Camera:
             )
         if not (np.isfinite(self.blur) and self.blur >= 0):
             raise InvalidInput(f"camera blur is {self.blur!r}; accepted: 0 or a positive number of pixels")
+        if not (np.isfinite(self.gamma) and 1 <= self.gamma <= 4):
+            raise InvalidInput(f"camera gamma is {self.gamma!r}; accepted: 1 (linear) to 4")
 
     @cached_property
     def matrix(self) -> Array:
@@ -62,6 +66,26 @@ class Camera:
     @property
     def is_distorted(self) -> bool:
         return any(self.distortion)
+
+    def encode(self, light: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """Grey levels of light (...) in 0..255 grey levels, clipped to that range; the inverse of `linear`."""
+        light = np.clip(light, 0, 255)
+        return np.rint(light if self.gamma == 1 else 255 * (light / 255) ** (1 / self.gamma)).astype(np.uint8)
+
+    def linear(self, image: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """Light (height, width) in 0..255 grey levels of an image (height, width[, 3]); of colours their mean.
+
+        Raises:
+            InvalidInput: the image is not uint8 of either shape.
+        """
+        if image.dtype != np.uint8 or not (image.ndim == 2 or (image.ndim == 3 and image.shape[2] == 3)):
+            raise InvalidInput(
+                f"image is {image.dtype} {image.shape}; accepted: uint8 (height, width) or (height, width, 3)"
+            )
+        if self.gamma == 1:
+            return image.astype(np.float32) if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
+        light = (255 * (np.arange(256) / 255) ** self.gamma).astype(np.float32)[image]
+        return light if light.ndim == 2 else light.mean(axis=2)
 
     def project(self, p_camera: ArrayLike) -> Array:
         """Pixels (..., 2) of points (..., 3) [m] in the camera frame; NaN for points behind the camera."""
@@ -118,12 +142,14 @@ class View:
         image: grey (height, width) or RGB (height, width, 3) frame, uint8.
         pose_covariance: (6, 6) covariance of (translation [m], rotation vector [rad]) in the camera frame,
             right-multiplied; zero where the pose is exact.
+        ignored: (height, width) pixels in which no contour is looked for; None: none.
     """
 
     camera: Camera
     T_world_camera: RigidTransform
     image: NDArray[np.uint8]
     pose_covariance: Array = field(default_factory=lambda: np.zeros((6, 6)))
+    ignored: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         shape = (self.camera.height, self.camera.width)
@@ -135,6 +161,10 @@ class View:
             raise InvalidInput("T_world_camera holds a number that is not finite")
         if self.pose_covariance.shape != (6, 6) or not np.all(np.isfinite(self.pose_covariance)):
             raise InvalidInput("pose_covariance must be a finite (6, 6) array")
+        if self.ignored is not None and (self.ignored.dtype != bool or self.ignored.shape != shape):
+            raise InvalidInput(
+                f"ignored is {self.ignored.dtype} {self.ignored.shape}; accepted: bool {shape}, or None"
+            )
 
     @property
     def centre(self) -> Array:

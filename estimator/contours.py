@@ -64,11 +64,11 @@ class Contours:
         return np.interp(u, self.u, self.sigma)
 
 
-def find_contours(image: np.ndarray, camera: Camera) -> Contours:
-    """All contours of an image (height, width[, 3]) uint8 that stand clear of its noise."""
-    grey = image.astype(np.float32) if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
+def find_contours(image: np.ndarray, camera: Camera, ignored: np.ndarray | None = None) -> Contours:
+    """All contours of an image (height, width[, 3]) uint8 that stand clear of its noise, outside `ignored` (height, width)."""
+    grey = camera.linear(image)
     noise = noise_level(grey)
-    chains = detect_chains(grey, noise)
+    chains = detect_chains(grey, noise, ignored)
     if len(chains.chain) == 0:
         return _nothing(noise)
     curves = _through_pixels(chains)

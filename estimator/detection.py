@@ -34,8 +34,11 @@ def noise_level(grey: Array) -> float:
     return max(float(np.median(response)) / 0.6745 / 6.0, 12**-0.5)
 
 
-def detect_chains(grey: np.ndarray, noise: float) -> Chains:
-    """Chains of edge pixels of a grey image (height, width), float32, whose contrast stands clear of `noise`."""
+def detect_chains(grey: np.ndarray, noise: float, ignored: np.ndarray | None = None) -> Chains:
+    """Chains of edge pixels of a grey image (height, width), float32, whose contrast stands clear of `noise`.
+
+    No chain enters pixels that are `ignored` (height, width); their edges are still seen by those beside them.
+    """
     smooth = cv2.GaussianBlur(grey, (0, 0), SMOOTHING)
     dx, dy = cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1)
     gradient_noise = GAIN * noise * 0.2  # of the Sobel response after smoothing
@@ -48,7 +51,8 @@ def detect_chains(grey: np.ndarray, noise: float) -> Chains:
         high * scale,
         L2gradient=True,
     )
-    pixels, chain = _link(_without_junctions(edges))
+    free = edges if ignored is None else np.where(ignored, 0, edges).astype(np.uint8)
+    pixels, chain = _link(_without_junctions(free))
     positions = _subpixel(pixels, dx, dy)
     positions, chain = _split_at_corners(positions, chain)
     return _directed(positions, chain, dx, dy, np.where(edges > 0, np.hypot(dx, dy), 0.0))

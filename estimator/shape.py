@@ -157,7 +157,7 @@ def all_contours(views: Sequence[View], progress: Callable[[int, int], None] | N
     """The contours of every view; progress as in `estimate_shape`."""
 
     def find(view: View) -> Contours:
-        return find_contours(view.image, view.camera)
+        return find_contours(view.image, view.camera, view.ignored)
 
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
         found = []

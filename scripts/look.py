@@ -3,7 +3,7 @@
 import json
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -17,13 +17,20 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from extremal.estimator import Camera, InvalidInput, Shape, estimate_shape
+from extremal.estimator import InvalidInput, PosePrior, Shape, estimate_shape
+from extremal.estimator.calibration_file import load_calibration
 from extremal.scenes import Scene, load_scene
+from extremal.scenes.board import CalibrationBoard
 from extremal.scripts.output import output_folder
 from extremal.scripts.picture import draw
+from extremal.scripts.poses import Egomotion, known_poses, pose_errors
 from extremal.scripts.scoring import Scored, score
-from extremal.sim import LinearMotion, PoseErrors, Recording, Sensor, record
+from extremal.sim import Drive, LinearMotion, Recording, record
+from extremal.sim.board_place import board_in_view
+from extremal.sim.rig import Rig
 
+ArmName = Literal["ideal", "calibrated", "typical", "poor"]
+CameraName = Literal["ideal", "industrial", "webcam"]
 LEAST_SHOWN = 3  # points of a contour that are worth a line of the table
 EXPERIMENTS = {
     "metric": {"views": 15, "baseline": 0.4, "distance": 0.6},
@@ -47,15 +54,26 @@ class LookSettings:
     """from the path's centre to the target [m]"""
     quality: str = "standard"
     """of rendering: preview, standard or metrology"""
-    noise: float = 2.0
-    """sensor noise [grey levels]"""
+    noise: float | None = None
+    """read noise [grey levels]; by default the camera's, 2 for the ideal one"""
     estimator: Literal["circle", "parallax", "joint"] | None = None
     """circle: with poses as believed; parallax: relative to references that are found; joint: poses and shape together. By
     default joint where poses are uncertain, else circle"""
+    arm: ArmName | None = None
+    """how good the arm is: calibrated 0.1 mm / 0.1 mrad, typical 1 mm / 1 mrad, poor 3 mm / 5 mrad; by default ideal, or the
+    calibration's"""
+    camera: CameraName | None = None
+    """lens and sensor: ideal is a pinhole with read noise; by default ideal, or the calibration's"""
+    calibration: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """what `extremal calibrate` found; with it the same arm is simulated, or one such as it says where it was a real one"""
+    egomotion: Egomotion = "robot"
+    """where poses come from: the robot's kinematics, a board in view, or both together"""
+    physics: bool = False
+    """move the arm by its actuators, wait until it rests, and expose"""
     position_error: float = 0.0
-    """standard deviation of each view's believed position [m]"""
+    """standard deviation of each view's believed position, on top of the arm's [m]"""
     rotation_error: float = 0.0
-    """standard deviation of each view's believed orientation [rad]"""
+    """standard deviation of each view's believed orientation, on top of the arm's [rad]"""
     seed: int = 0
     """of camera steps, noise and pose errors"""
     out: Path = Path("out/look")
@@ -65,18 +83,22 @@ class LookSettings:
         """The settings in full, as in result.json."""
         own = {k: getattr(self, k) for k in ("views", "baseline", "distance")}
         chosen = EXPERIMENTS[self.experiment] | {k: v for k, v in own.items() if v is not None}
-        names = ("quality", "noise", "position_error", "rotation_error")
-        default = "joint" if self.position_error or self.rotation_error else "circle"
+        names = ("quality", "position_error", "rotation_error", "egomotion", "physics")
         return (
-            chosen | {name: getattr(self, name) for name in names} | {"estimator": self.estimator or default}
+            chosen
+            | {name: getattr(self, name) for name in names}
+            | {"calibration": str(self.calibration) if self.calibration else None}
         )
 
 
 @dataclass(frozen=True, eq=False)
 class Look:
-    """One look at a scene: what was recorded, what was estimated, how it compares, how long it took [s]."""
+    """One look at a scene: what was recorded, what was known of the poses, what was estimated, how it compares, how long it
+    took [s]; `settings` are those of result.json."""
 
+    settings: dict[str, Any]
     recording: Recording
+    prior: PosePrior
     shape: Shape
     scored: Scored
     timing: dict[str, float]
@@ -102,10 +124,11 @@ def take_look(
     `workers` processes render; by default as many as pay.
     """
     started = time.perf_counter()
-    rng = np.random.default_rng(_natural(settings.seed, "--seed"))
+    seed = _natural(settings.seed, "--seed")
     chosen = settings.resolved()
     motion = LinearMotion(views=chosen["views"], baseline=chosen["baseline"], distance=chosen["distance"])
-    errors = PoseErrors(position=settings.position_error, rotation=settings.rotation_error)
+    rig = _rig(settings, seed)
+    watched, placed = _with_board(scene, rig, motion) if settings.egomotion != "robot" else (scene, None)
 
     def bar(name: str) -> Callable[[int, int], None] | None:
         if progress is None:
@@ -114,26 +137,65 @@ def take_look(
         return lambda done, total: advance(completed=done, total=total)
 
     recording = record(
-        scene,
-        Camera(),
+        watched,
+        rig.camera,
         motion,
         settings.quality,
-        Sensor(noise=settings.noise),
-        errors,
-        rng,
+        rig.sensor,
+        rig.errors,
+        np.random.default_rng(seed),
         workers,
         bar("rendering"),
+        geometry=rig.geometry,
+        believed=rig.believed,
+        believed_camera=rig.believed_camera,
+        drive=Drive() if settings.physics else None,
     )
     rendered = time.perf_counter()
-    shape = estimate_shape(recording.views, bar("contours"), settings.estimator, recording.prior)
+    views, prior = known_poses(settings.egomotion, recording, rig, placed, bar("board"))
+    recording = replace(recording, views=tuple(views))
+    estimator = settings.estimator or ("circle" if prior.exact else "joint")
+    shape = estimate_shape(views, bar("contours"), estimator, prior)
     seen = time.perf_counter()
-    scored = score(shape, recording, scene)
+    scored = score(shape, recording, watched)
     timing = {
         "render": recording.render_seconds,
         "vision": seen - rendered,
         "total": time.perf_counter() - started,
     }
-    return Look(recording, shape, scored, timing)
+    used = {"arm": rig.arm, "camera": rig.camera_name, "noise": rig.sensor.noise, "estimator": estimator}
+    return Look(chosen | used, recording, prior, shape, scored, timing)
+
+
+def _rig(settings: LookSettings, seed: int) -> Rig:
+    """The arm and camera that the settings ask for, with what is believed of them."""
+    if settings.calibration is None:
+        rig = Rig.individual(settings.arm or "ideal", settings.camera or "ideal", seed)
+    else:
+        calibration = load_calibration(settings.calibration)
+        made = calibration.simulation
+        for name, wanted, there in (
+            ("--arm", settings.arm, made.arm if made else "real"),
+            ("--camera", settings.camera, made.camera if made else "real"),
+        ):
+            if wanted not in (None, there):
+                raise InvalidInput(
+                    f"{name} is {wanted}, but {settings.calibration} calibrates {there!r}; accepted: {there}"
+                )
+        if made:
+            rig = Rig.individual(made.arm, made.camera, made.seed).calibrated(calibration)
+        else:
+            rig = Rig.like(calibration, np.random.default_rng([seed, 1]))
+    own = {"position": settings.position_error, "rotation": settings.rotation_error}
+    errors = replace(rig.errors, **{k: float(np.hypot(getattr(rig.errors, k), v)) for k, v in own.items()})
+    sensor = rig.sensor if settings.noise is None else replace(rig.sensor, noise=settings.noise)
+    return replace(rig, errors=errors, sensor=sensor)
+
+
+def _with_board(scene: Scene, rig: Rig, motion: LinearMotion) -> tuple[Scene, CalibrationBoard]:
+    """The scene with a board that all views show; camera steps don't matter for its place."""
+    placed = board_in_view(scene, rig.believed_camera, motion.poses(scene.target, np.random.default_rng(0)))
+    return replace(scene, objects=(*scene.objects, placed)), placed
 
 
 def _natural(value: int, name: str) -> int:
@@ -151,9 +213,10 @@ def _write(folder: Path, settings: LookSettings, result: Look) -> None:
     content = {
         "version": version("extremal"),
         "scene": settings.scene,
-        "settings": settings.resolved(),
+        "settings": result.settings,
         "seed": settings.seed,
         "timing_s": result.timing,
+        "poses": pose_errors(result.recording, result.prior),
         "points": result.scored.points,
     }
     (folder / "result.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
@@ -161,7 +224,7 @@ def _write(folder: Path, settings: LookSettings, result: Look) -> None:
     frames.mkdir()
     for i, view in enumerate(result.recording.views):
         cv2.imwrite(str(frames / f"{i:03d}.png"), view.image)
-    chosen = settings.resolved()
+    chosen = result.settings
     title = (
         f"{settings.scene}: {chosen['views']} views over {chosen['baseline']:g} m at {chosen['distance']:g} m"
     )

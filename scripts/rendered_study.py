@@ -17,9 +17,9 @@ from extremal.estimator.poses import pose_exp
 from extremal.estimator.shape import Estimator
 from extremal.scenes import Scene, load_scene, randomised
 from extremal.scripts.scoring import Scored, score
-from extremal.sim import LinearMotion, PoseErrors, Recording, record
+from extremal.sim import ArmErrors, LinearMotion, Recording, record
 
-ERRORS = PoseErrors(position=1e-3, rotation=1e-3)
+ERRORS = ArmErrors(position=1e-3, rotation=1e-3)
 MOTIONS = {
     "60 views over 800 mm at 1 m": LinearMotion(views=60, baseline=0.8, distance=1.0),
     "15 views over 400 mm at 0.6 m": LinearMotion(views=15, baseline=0.4, distance=0.6),
@@ -104,12 +104,12 @@ def _vase(job: tuple[str, int, int]) -> dict[str, list[_Sample]]:
 
 
 def _with_errors(recording: Recording, rng: np.random.Generator) -> Recording:
-    """The recording with other poses believed."""
+    """The recording with other poses believed; to either side errors have the same law."""
     actual = RigidTransform.concatenate(recording.actual)
-    spread = np.sqrt(np.diagonal(ERRORS.view_covariance))
-    believed = actual * pose_exp(rng.standard_normal((len(actual), 6)) * spread)
+    _, errors = ERRORS.scatter(len(actual), rng)
+    believed = actual * pose_exp(errors)
     views = tuple(
-        replace(view, T_world_camera=believed[i], pose_covariance=ERRORS.view_covariance)
+        replace(view, T_world_camera=believed[i], pose_covariance=np.diag(ERRORS.repeatability**2))
         for i, view in enumerate(recording.views)
     )
     return replace(recording, views=views)

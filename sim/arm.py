@@ -2,15 +2,11 @@
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.sim.axes import swap_camera_axes
+from extremal.sim.chain import DH_A, DH_ALPHA, DH_D, NOMINAL, ArmGeometry
 
-# Standard Denavit-Hartenberg parameters (Universal Robots, "DH parameters for calculations", UR5e):
-# T_i = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i), metres and radians.
-DH_A = (0.0, -0.425, -0.3922, 0.0, 0.0, 0.0)
-DH_D = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
-DH_ALPHA = (np.pi / 2, 0.0, 0.0, np.pi / 2, -np.pi / 2, 0.0)
 # Joint limits of the data sheet: +-360 degrees, the elbow +-180.
 JOINT_LIMITS = np.array([[-2, 2], [-2, 2], [-1, 1], [-2, 2], [-2, 2], [-2, 2]]) * np.pi
 
@@ -19,39 +15,50 @@ CAMERA = "hand_camera"
 CUP_TIP = "cup_tip"
 ARM_GROUP = 4  # geom group of everything that belongs to the arm
 
-# The optical centre sits 75 mm beside the cup's axis and 40 mm behind its lip, looking along the flange's z: the lip
-# is 56 degrees off the optical axis, and the rest of the arm is behind the camera. A frame of up to 50 degrees
-# from axis to corner (the default camera: 27) never shows the arm.
-T_FLANGE_CAMERA = RigidTransform.from_translation([0.0, -0.075, 0.06])
 CUP_LENGTH = 0.10
 CUP_LIP_RADIUS = 0.015
 
+# Mass [kg], centre of mass [m] and moments of inertia about it [kg m^2] of each link, in the frame at its far end: Universal
+# Robots' table beside the Denavit-Hartenberg parameters, without its products of inertia.
+_LINK_MASSES = (3.761, 8.058, 2.846, 1.37, 1.3, 0.365)
+_LINK_CENTRES = (
+    (0.0, -0.02561, 0.00193),
+    (0.2125, 0.0, 0.11336),
+    (0.15, 0.0, 0.0265),
+    (0.0, -0.0018, 0.01634),
+    (0.0, 0.0018, 0.01634),
+    (0.0, 0.0, -0.001159),
+)
+_LINK_INERTIAS = (
+    (0.0070, 0.0065, 0.0066),
+    (0.0151, 0.3339, 0.3325),
+    (0.0040, 0.0788, 0.0785),
+    (0.00165, 0.00136, 0.00126),
+    (0.00136, 0.00128, 0.00097),
+    (0.00019, 0.00019, 0.00026),
+)
 _LINK_RADII = (0.06, 0.054, 0.045, 0.04, 0.04, 0.036)
 _GREY = (0.75, 0.77, 0.8, 1.0)
 _DARK = (0.15, 0.15, 0.17, 1.0)
 
 
-def add_arm(spec: mujoco.MjSpec, T_world_base: RigidTransform) -> None:
+def add_arm(spec: mujoco.MjSpec, T_world_base: RigidTransform, geometry: ArmGeometry = NOMINAL) -> None:
     """Add the arm to a model: bodies, joints, `CAMERA` and the site `CUP_TIP` (z along the suction direction).
 
-    The joint angles of the model are the angles q_i of the Denavit-Hartenberg formula.
+    The joint angles of the model are the encoder readings of `ArmGeometry`, on a nominal arm the angles q_i of the
+    Denavit-Hartenberg formula.
 
     Args:
         spec: the model to add to; its existing names must not clash with the arm's.
         T_world_base: pose of the arm's base frame.
+        geometry: the individual arm.
     """
     limits_in_unit = np.degrees(JOINT_LIMITS) if spec.compiler.degree else JOINT_LIMITS
-    body = spec.worldbody.add_body(
-        name="arm_base",
-        pos=T_world_base.translation,
-        quat=T_world_base.rotation.as_quat(scalar_first=True),
-    )
+    body = _add_body(spec.worldbody, "arm_base", T_world_base)
     _add_geom(body, mujoco.mjtGeom.mjGEOM_CYLINDER, 0.075, (0, 0, -0.02), (0, 0, 0.02), _DARK)
-    position, tilt = np.zeros(3), 0.0
-    for name, limits, radius, a, d, alpha in zip(
-        JOINTS, limits_in_unit, _LINK_RADII, DH_A, DH_D, DH_ALPHA, strict=True
-    ):
-        body = body.add_body(name=name, pos=position, quat=[np.cos(tilt / 2), np.sin(tilt / 2), 0, 0])
+    T_body_next = RigidTransform.identity()
+    for i, (name, limits, radius) in enumerate(zip(JOINTS, limits_in_unit, _LINK_RADII, strict=True)):
+        body = _add_body(body, name, T_body_next * _turn("z", geometry.joint_offset[i]))
         body.add_joint(
             name=name,
             type=mujoco.mjtJoint.mjJNT_HINGE,
@@ -59,16 +66,34 @@ def add_arm(spec: mujoco.MjSpec, T_world_base: RigidTransform) -> None:
             range=limits,
             limited=mujoco.mjtLimited.mjLIMITED_TRUE,
         )
-        position, tilt = np.array([a, 0.0, d]), alpha
+        a, d = DH_A[i] + geometry.link_a[i], DH_D[i] + geometry.link_d[i]
+        T_body_next = RigidTransform.from_translation([a, 0, d]) * _turn("x", DH_ALPHA[i])
+        _set_inertia(body, i, T_body_next)
         _add_geom(body, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, (0, 0, 0), (0, 0, d), _DARK)
         _add_geom(body, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, (0, 0, d), (a, 0, d), _GREY)
-    _add_hand(body.add_body(name="flange", pos=position, quat=[np.cos(tilt / 2), np.sin(tilt / 2), 0, 0]))
+    _add_hand(_add_body(body, "flange", T_body_next), geometry.T_flange_camera)
 
 
-def _add_hand(flange: mujoco.MjsBody) -> None:
+def _turn(axis: str, angle: float) -> RigidTransform:
+    return RigidTransform.from_rotation(Rotation.from_euler(axis, angle))
+
+
+def _add_body(parent: mujoco.MjsBody, name: str, pose: RigidTransform) -> mujoco.MjsBody:
+    return parent.add_body(name=name, pos=pose.translation, quat=pose.rotation.as_quat(scalar_first=True))
+
+
+def _set_inertia(body: mujoco.MjsBody, link: int, T_body_end: RigidTransform) -> None:
+    body.explicitinertial = True
+    body.mass = _LINK_MASSES[link]
+    body.inertia = _LINK_INERTIAS[link]
+    body.ipos = T_body_end.apply(_LINK_CENTRES[link])
+    body.iquat = T_body_end.rotation.as_quat(scalar_first=True)
+
+
+def _add_hand(flange: mujoco.MjsBody, T_flange_camera: RigidTransform) -> None:
     """Camera and suction cup in the flange frame."""
     cylinder = mujoco.mjtGeom.mjGEOM_CYLINDER
-    T_flange_eye = swap_camera_axes(T_FLANGE_CAMERA)
+    T_flange_eye = swap_camera_axes(T_flange_camera)
     centre = T_flange_eye.translation
     flange.add_camera(name=CAMERA, pos=centre, quat=T_flange_eye.rotation.as_quat(scalar_first=True))
     _add_geom(flange, cylinder, 0.02, centre - (0, 0, 0.05), centre - (0, 0, 0.002), _DARK)

@@ -11,8 +11,9 @@ from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
-from extremal.sim.arm import CAMERA, T_FLANGE_CAMERA, add_arm
+from extremal.sim.arm import CAMERA, add_arm
 from extremal.sim.axes import swap_camera_axes
+from extremal.sim.chain import NOMINAL, ArmGeometry
 
 # The base is mounted on its side, its first axis along world +y: then joints 2, 3 and 4 turn about the vertical and
 # carry the camera along y and round the target by themselves, and no wrist singularity comes near the path
@@ -35,21 +36,22 @@ class ArmKinematics:
 
     Args:
         T_world_base: pose of the arm's base.
+        geometry: what is believed of the arm; joint positions are encoder readings.
     """
 
-    def __init__(self, T_world_base: RigidTransform) -> None:
+    def __init__(self, T_world_base: RigidTransform, geometry: ArmGeometry = NOMINAL) -> None:
         spec = mujoco.MjSpec()
-        add_arm(spec, T_world_base)
-        self.T_world_base = T_world_base
+        add_arm(spec, T_world_base, geometry)
+        self.T_world_base, self.geometry = T_world_base, geometry
         self._configuration = mink.Configuration(spec.compile())
         self._limits = [mink.ConfigurationLimit(self._configuration.model)]
         self._task = mink.FrameTask("flange", "body", position_cost=1.0, orientation_cost=0.5)
         self._camera = self._configuration.model.camera(CAMERA).id
 
     @classmethod
-    def behind(cls, path_centre: ArrayLike) -> "ArmKinematics":
+    def behind(cls, path_centre: ArrayLike, geometry: ArmGeometry = NOMINAL) -> "ArmKinematics":
         """The arm placed so that it reaches camera poses around `path_centre` (3,) that look along world +x."""
-        return cls(RigidTransform.from_translation(np.asarray(path_centre, float)) * T_PATH_BASE)
+        return cls(RigidTransform.from_translation(np.asarray(path_centre, float)) * T_PATH_BASE, geometry)
 
     def camera_poses(self, joint_positions: ArrayLike) -> RigidTransform:
         """T_world_camera (V) at joint positions (V, 6) [rad], by MuJoCo's forward kinematics in double precision."""
@@ -103,7 +105,7 @@ class ArmKinematics:
 
     def _solve(self, start: Array, T_world_camera: RigidTransform) -> Array:
         """Joint positions (6,): mink's limited steps towards the pose, then Newton's method."""
-        T_world_flange = T_world_camera * T_FLANGE_CAMERA.inv()
+        T_world_flange = T_world_camera * self.geometry.T_flange_camera.inv()
         self._task.set_target(mink.SE3.from_matrix(T_world_flange.as_matrix()))
         configuration = self._configuration
         configuration.update(start.copy())

@@ -1,6 +1,7 @@
 """A deliberate linear motion: the camera moves along a line and fixates the target."""
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -8,6 +9,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
+
+
+class Motion(Protocol):
+    """What one can ask an arm for: camera poses around a target."""
+
+    def centre(self, target: ArrayLike) -> Array:
+        """Middle (3,) [m] of the camera's centres for a target (3,); the arm is placed behind it."""
+        ...
+
+    def poses(self, target: ArrayLike, rng: np.random.Generator) -> RigidTransform:
+        """T_world_camera (V), in the order in which they are taken."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -3,18 +3,23 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array, Camera, View
 from extremal.estimator.errors import InvalidInput
-from extremal.estimator.poses import PosePrior
+from extremal.estimator.poses import PosePrior, pose_exp
+from extremal.sim.arm_errors import ArmErrors
+from extremal.sim.chain import NOMINAL, ArmGeometry
+from extremal.sim.execution import Drive, execute
+from extremal.sim.exposure import sub_exposures
 from extremal.sim.frames import render_frames
 from extremal.sim.kinematics import ArmKinematics
-from extremal.sim.motion import LinearMotion
-from extremal.sim.pose_error import PoseErrors
+from extremal.sim.motion import Motion
 from extremal.sim.quality import Quality, get_quality
 from extremal.sim.rendering import NEAR, scene_model
 from extremal.sim.sensor import Sensor
@@ -28,63 +33,105 @@ class Recording:
     """What a motion before a scene delivered.
 
     Attributes:
-        views: frames as the sensor read them, with the poses that the robot believes.
+        views: frames as the sensor read them, with the camera and the poses that the robot believes; their covariances are
+            of what is independent in every view.
         commanded: T_world_camera (V,) that the motion asked for.
-        actual: T_world_camera (V,) from which the frames were taken: FK of the actual joint positions.
-        joint_positions: (V, 6) actual joint positions [rad].
+        actual: T_world_camera (V,) where the camera was at mid exposure.
+        readings: (V, 6) of the joints' encoders [rad].
         prior: what the robot knows of its poses, errors that all views share included.
+        camera: the actual one.
+        T_world_base: where the arm stands.
         render_seconds: time spent rendering [s].
     """
 
     views: tuple[View, ...]
     commanded: tuple[RigidTransform, ...]
     actual: tuple[RigidTransform, ...]
-    joint_positions: Array
+    readings: Array
     prior: PosePrior
+    camera: Camera
+    T_world_base: RigidTransform
     render_seconds: float
 
 
 def record(
     scene: "Scene",
     camera: Camera,
-    motion: LinearMotion,
+    motion: Motion,
     quality: str | Quality = "standard",
     sensor: Sensor | None = None,
-    pose_errors: PoseErrors | None = None,
+    errors: ArmErrors | None = None,
     rng: np.random.Generator | None = None,
     workers: int | None = None,
     progress: Callable[[int, int], None] | None = None,
+    *,
+    geometry: ArmGeometry | None = None,
+    believed: ArmGeometry = NOMINAL,
+    believed_camera: Camera | None = None,
+    drive: Drive | None = None,
 ) -> Recording:
     """Carry out a motion before a scene and record it. The same generator state gives the same bytes.
 
+    The motion commands poses; what is believed of the arm turns them into joint positions; the actual arm goes there and
+    the camera is somewhere else; encoder readings and what is believed of the arm tell where it seems to be.
+
     Args:
-        rng: draws the camera steps, the pose errors and the noise.
+        camera: the actual one, by which frames are rendered.
+        errors: of the arm; None: none.
+        rng: draws the camera steps, the arm where `geometry` does not give it, what is new in every view, drift and noise.
         workers, progress: see `render_frames`.
+        geometry: the actual arm; None: one drawn from `errors` around the believed one.
+        believed: what the robot takes its arm to be.
+        believed_camera: what it takes its camera to be; None: what it is.
+        drive: moves the arm under physics, with motion blur where it moves during `sensor.exposure_time`; None: joints
+            go exactly where they are commanded to, and rest.
 
     Raises:
         InvalidInput: target outside the field of view; camera inside an object; UnreachablePose.
+        ArmNotSettled: the arm does not come to rest.
         RenderingError: offscreen rendering is not available.
     """
-    quality, sensor = get_quality(quality), sensor or Sensor()
-    pose_errors, rng = pose_errors or PoseErrors(), rng or np.random.default_rng()
-    motion_rng, pose_rng, noise_rng = rng.spawn(3)
+    quality, sensor, errors = get_quality(quality), sensor or Sensor(), errors or ArmErrors()
+    motion_rng, view_rng, noise_rng, drift_rng, arm_rng = (rng or np.random.default_rng()).spawn(5)
+    geometry = geometry or errors.draw(arm_rng, believed)
 
     commanded = motion.poses(scene.target, motion_rng)
     check_poses(scene, camera, commanded)
-    arm = ArmKinematics.behind(motion.centre(scene.target))
-    joint_positions = arm.joint_positions(commanded)
-    actual = arm.camera_poses(joint_positions)
-    believed = pose_errors.believed(joint_positions, arm.camera_poses, pose_rng)
+    arm = ArmKinematics.behind(motion.centre(scene.target), believed)
+    joints, path = arm.joint_positions(commanded), None
+    if drive:
+        path = execute(joints, geometry, arm.T_world_base, drive, sensor.exposure_time)
+        joints = path.joint_positions
+    encoder_noise, pose_errors = errors.scatter(len(joints), view_rng)
 
+    def place(joints: Array, view: int | slice = slice(None)) -> RigidTransform:
+        return arm.T_world_base * geometry.camera_poses(joints) * pose_exp(pose_errors[view])
+
+    actual = exposed = place(joints)
+    if path:
+        exposed = [
+            sub_exposures(path, i, partial(place, view=i), camera, scene.target) for i in range(len(joints))
+        ]
     started = time.perf_counter()
-    frames = render_frames(scene_model(scene.to_spec()), camera, quality, actual, workers, progress)
+    gains = sensor.gains(len(joints), drift_rng)
+    frames = render_frames(scene_model(scene.to_spec()), camera, quality, exposed, workers, progress, gains)
     render_seconds = time.perf_counter() - started
-    views = tuple(
-        View(camera, believed[i], sensor.read(frame, view_rng), pose_errors.view_covariance)
-        for i, (frame, view_rng) in enumerate(zip(frames, noise_rng.spawn(len(frames)), strict=True))
+
+    readings = joints + encoder_noise
+    prior = errors.prior(believed, readings, arm.T_world_base)
+    images = [sensor.read(f, camera, r) for f, r in zip(frames, noise_rng.spawn(len(frames)), strict=True)]
+    views = _views(believed_camera or camera, prior, images)
+    return Recording(
+        views, _each(commanded), _each(actual), readings, prior, camera, arm.T_world_base, render_seconds
     )
-    prior = pose_errors.prior(believed, joint_positions, arm.camera_poses)
-    return Recording(views, _each(commanded), _each(actual), joint_positions, prior, render_seconds)
+
+
+def _views(camera: Camera, prior: PosePrior, images: list[NDArray[np.uint8]]) -> tuple[View, ...]:
+    """Images as seen from believed poses, with the covariances of what is independent in every view."""
+    covariance = prior.root @ np.swapaxes(prior.root, 1, 2)
+    return tuple(
+        View(camera, prior.T_world_camera[i], image, covariance[i]) for i, image in enumerate(images)
+    )
 
 
 def check_poses(scene: "Scene", camera: Camera, T_world_camera: RigidTransform) -> None:

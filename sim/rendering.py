@@ -6,7 +6,7 @@ from typing import Self
 import cv2
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Camera
@@ -19,6 +19,7 @@ from extremal.sim.window import Window
 EYE = "eye"
 SAMPLES = 4  # of MSAA; llvmpipe offers no more
 NEAR = 0.02  # nearest distance that is drawn [m]
+WHITE = (1.0, 1.0, 1.0)
 MAX_BUFFER = 16384  # longest side of a rendered frame [px]
 
 
@@ -105,33 +106,49 @@ class FrameRenderer:
             self._gl.free()
             self._gl = None
 
-    def render(self, T_world_camera: RigidTransform) -> NDArray[np.float32]:
-        """The frame (height, width) [grey levels] seen from a pose.
+    def render(self, T_world_camera: RigidTransform, gains: ArrayLike = WHITE) -> NDArray[np.float32]:
+        """The frame (height, width) [grey levels] seen from a pose, or from poses (S) in turn while the shutter is open.
+
+        Args:
+            T_world_camera: a pose; or S, those in the middle of equal parts of the exposure. They are smeared into one
+                another where the image moves by less than a pixel from one to the next.
+            gains: (3,) of R, G and B, before their mean is taken.
 
         Raises:
-            InvalidInput: the pose is not finite.
+            InvalidInput: a pose is not finite, or gains are not positive.
             RenderingError: outside the context manager.
         """
         if self._context is None or self._gl is None:
             raise RenderingError("the renderer is closed; use it in a `with` statement")
-        if not (T_world_camera.single and np.all(np.isfinite(T_world_camera.as_matrix()))):
-            raise InvalidInput("T_world_camera must be one finite transform")
+        shape = T_world_camera.shape
+        if len(shape) > 1 or 0 in shape or not np.all(np.isfinite(T_world_camera.as_matrix())):
+            raise InvalidInput(
+                f"T_world_camera of shape {shape} must be one finite transform, or a row of them"
+            )
+        weights = np.asarray(gains, np.float32)
+        if weights.shape != (3,) or not np.all((weights > 0) & np.isfinite(weights)):
+            raise InvalidInput(f"gains are {weights.tolist()}; accepted: three positive numbers")
         self._gl.make_current()
+        poses = [T_world_camera] if T_world_camera.single else list(T_world_camera)
+        total = np.zeros(self._window.shape, np.float32)
+        for pose in poses:
+            self._look_from(pose)
+            for offset in self.quality.offsets:
+                self._draw(offset)
+                for channel, weight in zip(cv2.split(self._pixels), weights, strict=True):
+                    total += weight * channel
+        if self.camera.is_distorted:
+            total = self._window.distort(total)
+        # Sparse products: the same bytes on every machine and with any number of threads.
+        frame = (self._columns @ np.ascontiguousarray((self._rows @ total).T)).T
+        return np.ascontiguousarray(frame / (3 * self.quality.passes * len(poses)), np.float32)
+
+    def _look_from(self, T_world_camera: RigidTransform) -> None:
         eye = swap_camera_axes(T_world_camera)
         self._data.mocap_pos[0] = eye.translation
         self._data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        total = np.zeros(self._window.shape, np.float32)
-        for offset in self.quality.offsets:
-            self._draw(offset)
-            for channel in cv2.split(self._pixels):
-                cv2.add(total, channel, dst=total, dtype=cv2.CV_32F)
-        if self.camera.is_distorted:
-            total = self._window.distort(total)
-        # Sparse products: the same bytes on every machine and with any number of threads.
-        frame = (self._columns @ np.ascontiguousarray((self._rows @ total).T)).T
-        return np.ascontiguousarray(frame / (3 * self.quality.passes), np.float32)
 
     def _draw(self, offset: NDArray[np.floating]) -> None:
         """Render one pass into `self._pixels`, bottom row first; `offset` (2,) shifts the image [rendered px]."""

@@ -8,17 +8,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator import Camera, ExtremalError
 from extremal.sim import ArmKinematics, LinearMotion, UnreachablePose
-from extremal.sim.arm import (
-    CAMERA,
-    CUP_LENGTH,
-    CUP_TIP,
-    DH_A,
-    DH_ALPHA,
-    DH_D,
-    JOINT_LIMITS,
-    T_FLANGE_CAMERA,
-    add_arm,
-)
+from extremal.sim.arm import CAMERA, CUP_LENGTH, CUP_TIP, JOINT_LIMITS, JOINTS, add_arm
+from extremal.sim.chain import DH_A, DH_ALPHA, DH_D, T_FLANGE_CAMERA, ArmGeometry
 
 TARGET = np.array([0.0, 0.0, 0.1])
 
@@ -54,6 +45,20 @@ def test_published_numbers() -> None:
     # UR5e at zero: stretched along -x, the flange at (a2 + a3, -(d4 + d6), d1 - d5).
     T = dh_flange(np.zeros(6))
     np.testing.assert_allclose(T[:3, 3], [-0.8172, -0.2329, 0.0628], atol=1e-12)
+
+
+def test_masses() -> None:
+    """The data sheet's 20.6 kg are those of the links and of a base that does not move."""
+    spec = mujoco.MjSpec()
+    add_arm(spec, RigidTransform.identity())
+    model = spec.compile()
+    masses = [model.body(name).mass[0] for name in JOINTS]
+    assert sum(masses) == pytest.approx(17.7)
+    assert model.body("flange").mass[0] < 0.5  # camera and cup
+    # at zero the upper arm's centre of mass is half-way to the elbow, 113 mm beside the shoulder's plane
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    np.testing.assert_allclose(data.body("shoulder_lift").xipos, [-0.2125, -0.11336, 0.1625], atol=1e-9)
 
 
 def test_joint_limits_in_radians_in_any_model() -> None:
@@ -102,6 +107,22 @@ def test_paths_are_reached_on_one_branch(distance: float, baseline: float, views
     # One branch: the elbow never passes zero, joints move no faster than the camera needs.
     assert np.all(q[:, 2] < -0.3)
     assert np.abs(np.diff(q, axis=0)).max() < 20 * baseline / (views - 1) + 0.01
+
+
+def test_paths_of_another_arm_are_reached() -> None:
+    """Inverse kinematics is that of the geometry believed in."""
+    geometry = ArmGeometry(
+        np.full(6, 0.01),
+        np.full(6, 2e-3),
+        np.full(6, -2e-3),
+        T_FLANGE_CAMERA * RigidTransform.from_translation([0.01, 0, 0]),
+    )
+    motion = LinearMotion(5)
+    poses = motion.poses(TARGET, np.random.default_rng(0))
+    arm = ArmKinematics.behind(motion.centre(TARGET), geometry)
+    q = arm.joint_positions(poses)
+    reached = arm.T_world_base * geometry.camera_poses(q)
+    np.testing.assert_allclose(reached.as_matrix(), poses.as_matrix(), atol=1e-9)
 
 
 def test_elevations() -> None:

@@ -1,0 +1,262 @@
+"""Calibrations as TOML files: written all at once and in full precision, read with an error for everything that is wrong.
+
+The format is described in docs/calibration.md.
+"""
+
+import json
+import os
+import tempfile
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from extremal.estimator.board import Board
+from extremal.estimator.calibration import MOST_PARAMETERS, Calibration, Simulation
+from extremal.estimator.camera import Camera
+from extremal.estimator.errors import InvalidInput
+
+FORMAT = 1
+LARGEST_FILE = 4_000_000  # bytes
+LARGEST_NUMBER = 1e9
+UNIT = 1e-6  # a quaternion's norm may be off 1 by this: it was rounded when written by hand
+
+_TITLE = "# A camera calibrated on a robot's flange (extremal calibrate). Metres, radians, pixels; pixel (0, 0) is the centre\n# of the top-left one. T_a_b maps coordinates of frame b to frame a. Quaternions are x, y, z, w.\n"
+_COMMENTS = {
+    "camera": "# fx, fy, cx, cy [px]; distortion k1, k2, p1, p2, k3 (Brown-Conrady); blur: sd of the optics' point spread [px]",
+    "hand_eye": "# T_flange_camera",
+    "board_pose": "# T_base_board",
+    "board": "# ChArUco board: squares, sides of square and marker [m], ArUco dictionary",
+    "arm": "# deviations from the arm's data sheet [m], [rad]",
+    "fit": "# views used; rms distance of corners from their predictions [px]; sd of what each view's pose is off by itself",
+    "simulation": "# this calibration belongs to one simulated arm and fits no other",
+    "covariance": "# of the errors of: intrinsics; twists (x, y, z [m], rotation vector rx, ry, rz [rad]) of T_flange_camera in the camera\n# frame and of T_base_board in the board's, both right-multiplied: T_actual = T exp(error); parameters of the arm",
+}
+
+
+def save_calibration(calibration: Calibration, path: str | Path) -> None:
+    """Write a calibration, by a temporary file beside it, so that a reader finds all of it or nothing.
+
+    Raises:
+        InvalidInput: the file can't be written.
+    """
+    text, path = _text(calibration), Path(path)
+    try:
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
+            temporary = Path(file.name)
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    except OSError as error:
+        raise InvalidInput(f"calibration file {str(path)!r} can't be written: {error.strerror}") from None
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """Read a calibration from a TOML file.
+
+    Raises:
+        InvalidInput: one line that names the file, the key, what is wrong with it and what is accepted.
+    """
+    path = Path(path)
+    try:
+        return _calibration(_Table(_parsed(path), "the file"))
+    except InvalidInput as error:
+        raise InvalidInput(f"calibration {path.name}: {' '.join(str(error).split())}") from None
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    try:
+        if not path.is_file():
+            raise InvalidInput(f"there is no file {str(path)!r}")
+        if path.stat().st_size > LARGEST_FILE:
+            raise InvalidInput(f"{path.stat().st_size} bytes; accepted: up to {LARGEST_FILE}")
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInput(f"malformed TOML: {error}") from None
+    except UnicodeError:
+        raise InvalidInput("not a text file; accepted: TOML in UTF-8") from None
+    except (OSError, RecursionError) as error:
+        raise InvalidInput(f"can't be read: {error}") from None
+
+
+def _text(calibration: Calibration) -> str:
+    position, rotation = calibration.view_errors
+    tables: dict[str, Mapping[str, Any]] = {
+        "camera": asdict(calibration.camera),
+        "hand_eye": _pose_table(calibration.T_flange_camera),
+        "board_pose": _pose_table(calibration.T_base_board),
+        "board": asdict(calibration.board),
+        "arm": calibration.arm,
+        "fit": {
+            "views": calibration.views,
+            "rms": calibration.rms,
+            "view_position_error": position,
+            "view_rotation_error": rotation,
+        },
+    }
+    if calibration.simulation:
+        tables["simulation"] = asdict(calibration.simulation)
+    tables["covariance"] = {"parameters": calibration.parameters, "matrix": calibration.covariance}
+    parts = [f"{_TITLE}\nformat = {FORMAT}\n"]
+    for name, table in tables.items():
+        lines = [f"{key} = {_value(value)}" for key, value in table.items()]
+        parts.append("\n".join([f"{_COMMENTS[name]}", f"[{name}]", *lines]) + "\n")
+    return "\n".join(parts)
+
+
+def _value(value: Any) -> str:
+    """TOML of a number, text, list of them or matrix; Python writes floats such that they are read back exactly."""
+    if isinstance(value, str):
+        return json.dumps(value)
+    if isinstance(value, np.ndarray) and value.ndim == 2:
+        return "[\n" + "".join(f"  {_value(row)},\n" for row in value) + "]"
+    if isinstance(value, Iterable):
+        return f"[{', '.join(_value(item) for item in value)}]"
+    return repr(int(value)) if isinstance(value, int | np.integer) else repr(float(value))
+
+
+def _pose_table(pose: RigidTransform) -> dict[str, Any]:
+    return {"translation": pose.translation, "quaternion": pose.rotation.as_quat()}
+
+
+class _Table:
+    """A TOML table that is emptied key by key, so that what is left over is unknown."""
+
+    def __init__(self, values: Any, where: str) -> None:
+        if not isinstance(values, dict):
+            raise InvalidInput(f"{where} is {values!r:.60}; accepted: a table")
+        self.values, self.where, self.known = dict(values), where, []
+
+    def take(self, key: str, read: Callable[[Any, str], Any]) -> Any:
+        self.known.append(key)
+        if key not in self.values:
+            raise InvalidInput(f"{self.where} lacks the key {key!r}")
+        return read(self.values.pop(key), key if self.where == "the file" else f"{self.where}.{key}")
+
+    def done(self) -> None:
+        if self.values:
+            raise InvalidInput(
+                f"{self.where} has the unknown key {next(iter(self.values))!r:.60}; accepted: {', '.join(self.known)}"
+            )
+
+
+def _calibration(table: _Table) -> Calibration:
+    version = table.take("format", _integer)
+    if version != FORMAT:
+        raise InvalidInput(f"format is {version}; accepted: {FORMAT}")
+    fit = table.take("fit", _Table)
+    views, rms, position, rotation = (
+        fit.take(key, read)
+        for key, read in (
+            ("views", _integer),
+            ("rms", _number),
+            ("view_position_error", _number),
+            ("view_rotation_error", _number),
+        )
+    )
+    fit.done()
+    arm = table.take("arm", _arm)
+    calibration = {
+        "camera": table.take("camera", _value_of(Camera)),
+        "T_flange_camera": table.take("hand_eye", _pose),
+        "T_base_board": table.take("board_pose", _pose),
+        "board": table.take("board", _value_of(Board)),
+        "simulation": table.take("simulation", _value_of(Simulation))
+        if "simulation" in table.values
+        else None,
+    }
+    names, matrix = table.take("covariance", _covariance)
+    table.done()
+    found = Calibration(
+        **calibration, covariance=matrix, view_errors=(position, rotation), rms=rms, views=views, arm=arm
+    )
+    for i, (name, expected) in enumerate(zip(names, found.parameters, strict=True)):
+        if name != expected:
+            raise InvalidInput(f"covariance.parameters[{i}] is {name!r:.60}; accepted: {expected!r}")
+    return found
+
+
+def _value_of(kind: type[Any]) -> Callable[[Any, str], Any]:
+    """Reads a dataclass of numbers and texts, a key for each field."""
+
+    def read(values: Any, where: str) -> Any:
+        table, content = _Table(values, where), {}
+        for item in fields(kind):
+            reader = {int: _integer, float: _number, str: _text_value}.get(item.type, _numbers)  # pyright: ignore[reportArgumentType, reportCallIssue]
+            content[item.name] = table.take(item.name, reader)
+        table.done()
+        return kind(**content)
+
+    return read
+
+
+def _pose(values: Any, where: str) -> RigidTransform:
+    table = _Table(values, where)
+    translation = table.take("translation", _numbers)
+    quaternion = table.take("quaternion", _numbers)
+    table.done()
+    if len(translation) != 3:
+        raise InvalidInput(f"{where}.translation has {len(translation)} numbers; accepted: 3")
+    if len(quaternion) != 4 or not abs(np.linalg.norm(quaternion) - 1) < UNIT:
+        raise InvalidInput(
+            f"{where}.quaternion is {list(quaternion)!r:.100}; accepted: a unit quaternion x, y, z, w"
+        )
+    return RigidTransform.from_components(translation, Rotation.from_quat(quaternion))
+
+
+def _arm(values: Any, where: str) -> dict[str, float]:
+    names = _Table(values, where).values
+    if len(names) > MOST_PARAMETERS:
+        raise InvalidInput(f"{where} has {len(names)} parameters; accepted: up to {MOST_PARAMETERS}")
+    return {name: _number(value, f"{where}.{name:.60}") for name, value in names.items()}
+
+
+def _covariance(values: Any, where: str) -> tuple[list[str], np.ndarray]:
+    table = _Table(values, where)
+    names = [
+        _text_value(item, f"{where}.parameters[{i}]")
+        for i, item in enumerate(table.take("parameters", _list))
+    ]
+    rows = [_numbers(row, f"{where}.matrix[{i}]") for i, row in enumerate(table.take("matrix", _list))]
+    table.done()
+    if len(rows) != len(names) or any(len(row) != len(names) for row in rows):
+        raise InvalidInput(
+            f"{where}.matrix has {len(rows)} rows of {', '.join(map(str, sorted({len(r) for r in rows})))} numbers; accepted: "
+            f"{len(names)} of {len(names)}, as there are parameters"
+        )
+    return names, np.array(rows)
+
+
+def _number(value: Any, where: str) -> float:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if not is_number or not abs(value) <= LARGEST_NUMBER:  # NaN compares false
+        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a number within +-{LARGEST_NUMBER:g}")
+    return float(value)
+
+
+def _integer(value: Any, where: str) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 2**63:
+        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a whole number")
+    return value
+
+
+def _text_value(value: Any, where: str) -> str:
+    if not isinstance(value, str) or not 1 <= len(value) <= 200 or not value.isprintable():
+        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a short text")
+    return value
+
+
+def _list(value: Any, where: str) -> list[Any]:
+    if not isinstance(value, list) or len(value) > 2 * MOST_PARAMETERS:
+        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a list of up to {2 * MOST_PARAMETERS} items")
+    return value
+
+
+def _numbers(value: Any, where: str) -> tuple[float, ...]:
+    return tuple(_number(item, f"{where}[{i}]") for i, item in enumerate(_list(value, where)))

@@ -12,12 +12,13 @@ from scipy.stats import norm as normal_distribution
 
 from extremal.estimator.calibration_equations import Linearised, Sightings
 from extremal.estimator.camera import Array
-from extremal.estimator.errors import NotConverged
+from extremal.estimator.errors import DegenerateGeometry, NotConverged
 
 FAR = 5.0  # standard deviations, beyond which a corner or a view's pose is a blunder
 STEADY = 0.01  # relative change of factors that does not matter
 LARGEST_FACTOR = 1e3
 GUESS = np.log(10)  # prior sd of the logarithm of a view's factor: what is stated of a robot is about right
+HOPELESS = 1e12  # misfit of factors with which the views determine nothing
 WIDEST = 2.0  # a factor that few views leave open is raised by no more than this
 
 
@@ -60,7 +61,10 @@ def likely_scales(here: Linearised, sightings: Sightings, scales: Array, smaller
     def misfit(logarithms: Array) -> float:
         factors = np.exp(logarithms)
         normal = base.normal(factors)
-        spread = normal.log_determinant + 2 * numbers * logarithms[0]
+        try:
+            spread = normal.log_determinant + 2 * numbers * logarithms[0]
+        except DegenerateGeometry:  # a robot this bad would tell nothing: the search turns back
+            return HOPELESS
         prior = np.sum((logarithms[1:] / GUESS) ** 2)
         return base.cost(factors[0]) - normal.decrease + spread + prior
 

@@ -22,7 +22,7 @@ from extremal.estimator.board_pose import BoardPose
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.poses import PosePrior, square_root
-from extremal.estimator.projection import INTRINSICS, adjoint
+from extremal.estimator.projection import adjoint, focal_sigma, turning
 
 SURPRISING = (
     3.0  # standard deviations of chi2 beyond which robot and board contradict what is said of their errors
@@ -61,23 +61,6 @@ def board_egomotion(
         return PosePrior(T_world_camera, root)
     modes = np.array([pose.by_intrinsics for pose in poses]) + turning(camera)
     return PosePrior(T_world_camera, root, modes @ intrinsics_root, focal_sigma(camera, intrinsics_root))
-
-
-def turning(camera: Camera) -> Array:
-    """Pose errors (6, 9) that move the rays near the optical axis as errors of the intrinsics do, per unit of each.
-
-    Errors are actual minus believed. Only the principal point turns these rays; the focal length is `focal_sigma`'s.
-    """
-    turned = np.zeros((6, len(INTRINSICS)))
-    turned[4, INTRINSICS.index("cx")] = -1 / camera.fx
-    turned[3, INTRINSICS.index("cy")] = 1 / camera.fy
-    return turned
-
-
-def focal_sigma(camera: Camera, intrinsics_root: Array) -> float:
-    """Standard deviation of the mean focal length, as a fraction of it."""
-    mean = intrinsics_root[:2] / np.array([[2 * camera.fx], [2 * camera.fy]])
-    return float(np.linalg.norm(mean.sum(axis=0)))
 
 
 def fused_egomotion(

@@ -68,3 +68,20 @@ def adjoint(poses: RigidTransform) -> Array:
     out[..., :3, :3] = out[..., 3:, 3:] = R
     out[..., :3, 3:] = cross_matrix(poses.translation) @ R
     return out
+
+
+def turning(camera: Camera) -> Array:
+    """Pose errors (6, 9) that move the rays near the optical axis as errors of the intrinsics do, per unit of each.
+
+    Errors are actual minus believed. Only the principal point turns these rays; the focal length is `focal_sigma`'s.
+    """
+    turned = np.zeros((6, len(INTRINSICS)))
+    turned[4, INTRINSICS.index("cx")] = -1 / camera.fx
+    turned[3, INTRINSICS.index("cy")] = 1 / camera.fy
+    return turned
+
+
+def focal_sigma(camera: Camera, intrinsics_root: Array) -> float:
+    """Standard deviation of the mean focal length, as a fraction of it."""
+    mean = intrinsics_root[:2] / np.array([[2 * camera.fx], [2 * camera.fy]])
+    return float(np.linalg.norm(mean.sum(axis=0)))

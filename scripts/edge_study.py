@@ -254,7 +254,7 @@ def _case_errors(case: _Case, seeds: int, rng: np.random.Generator) -> Iterator[
     with FrameRenderer(scene_model(case.scene.to_spec()), camera, case.quality) as renderer:
         for _ in range(seeds):
             pose = _pose(rng)
-            view = View(camera, pose, Sensor(NOISE).read(renderer.render(pose), rng))
+            view = View(camera, pose, Sensor(NOISE).read(renderer.render(pose), camera, rng))
             yield view_errors(view, case.scene, case.labels)
 
 

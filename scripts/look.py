@@ -25,7 +25,7 @@ from extremal.scripts.output import output_folder
 from extremal.scripts.picture import draw
 from extremal.scripts.poses import Egomotion, known_poses, pose_errors
 from extremal.scripts.scoring import Scored, score
-from extremal.sim import Drive, LinearMotion, Recording, record
+from extremal.sim import ArmErrors, Drive, LinearMotion, Recording, record
 from extremal.sim.board_place import board_in_view
 from extremal.sim.rig import Rig
 
@@ -186,8 +186,12 @@ def _rig(settings: LookSettings, seed: int) -> Rig:
             rig = Rig.individual(made.arm, made.camera, made.seed).calibrated(calibration)
         else:
             rig = Rig.like(calibration, np.random.default_rng([seed, 1]))
-    own = {"position": settings.position_error, "rotation": settings.rotation_error}
-    errors = replace(rig.errors, **{k: float(np.hypot(getattr(rig.errors, k), v)) for k, v in own.items()})
+    own = ArmErrors(position=settings.position_error, rotation=settings.rotation_error)
+    errors = replace(
+        rig.errors,
+        position=float(np.hypot(rig.errors.position, own.position)),
+        rotation=float(np.hypot(rig.errors.rotation, own.rotation)),
+    )
     sensor = rig.sensor if settings.noise is None else replace(rig.sensor, noise=settings.noise)
     return replace(rig, errors=errors, sensor=sensor)
 

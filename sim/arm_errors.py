@@ -38,7 +38,8 @@ from scipy.spatial.transform import RigidTransform
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.poses import PosePrior, pose_exp, square_root
-from extremal.sim.chain import ARM_PARAMETERS, NOMINAL, ArmGeometry, adjoint
+from extremal.estimator.projection import adjoint
+from extremal.sim.chain import ARM_PARAMETERS, NOMINAL, ArmGeometry
 
 
 @dataclass(frozen=True)

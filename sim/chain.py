@@ -8,6 +8,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
+from extremal.estimator.projection import adjoint
 
 # Standard Denavit-Hartenberg parameters (Universal Robots, "DH parameters for calculations of kinematics and dynamics",
 # UR5e): T_i = Rz(q_i) Tz(d_i) Tx(a_i) Rx(alpha_i), metres and radians.
@@ -121,9 +122,3 @@ class ArmGeometry:
 
 
 NOMINAL = ArmGeometry()
-
-
-def adjoint(pose: RigidTransform) -> Array:
-    """(6, 6) matrix Ad with T exp(e) = exp(Ad e) T for twists e = (translation, rotation vector)."""
-    rotation, shift = pose.rotation.as_matrix(), pose.translation
-    return np.block([[rotation, np.cross(shift, rotation, axis=0)], [np.zeros((3, 3)), rotation]])

@@ -14,10 +14,9 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.calibration import HAND_EYE, Calibration
 from extremal.estimator.camera import Array, Camera
-from extremal.estimator.egomotion import focal_sigma, turning
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.poses import PosePrior, pose_exp
-from extremal.estimator.projection import INTRINSICS
+from extremal.estimator.projection import INTRINSICS, focal_sigma, turning
 from extremal.sim.arm_errors import ArmErrors, get_arm
 from extremal.sim.cameras import get_camera
 from extremal.sim.chain import ARM_PARAMETERS, NOMINAL, ArmGeometry

@@ -6,15 +6,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator import Camera, DegenerateGeometry, InvalidInput
 from extremal.estimator.board_pose import BoardPose
-from extremal.estimator.egomotion import (
-    board_egomotion,
-    combined,
-    focal_sigma,
-    fused_egomotion,
-    turning,
-)
+from extremal.estimator.egomotion import board_egomotion, combined, fused_egomotion
 from extremal.estimator.poses import PosePrior, pose_exp, square_root
-from extremal.estimator.projection import INTRINSICS
+from extremal.estimator.projection import INTRINSICS, focal_sigma, turning
 
 V = 12
 

@@ -105,9 +105,9 @@ def test_a_noted_orientation_does_not_turn_the_image(folder: Path) -> None:
         ("view_1.png,", "view_1.png,ten,", "line 3: 9 values; accepted: 8"),
         ("view_1.png", "view_0.png", "'view_0.png' has a row already, line 2"),
         ("view_1.png", "view_9.png", "row for 'view_9.png', which is no image"),
-        (repr(POSES.translation[1, 0]), "nan", "line 3: x is 'nan'"),
-        (repr(POSES.translation[1, 0]), "left", "line 3: x is 'left'"),
-        (repr(POSES.translation[1, 0]), "350.2", "x is '350.2'; accepted: a number within +-10 m"),
+        (repr(float(POSES.translation[1, 0])), "nan", "line 3: x is 'nan'"),
+        (repr(float(POSES.translation[1, 0])), "left", "line 3: x is 'left'"),
+        (repr(float(POSES.translation[1, 0])), "350.2", "x is '350.2'; accepted: a number within +-10 m"),
         (
             repr(POSES.rotation[1].as_quat().tolist()[3]),
             "1.5",

@@ -63,11 +63,15 @@ def test_the_options_of_look() -> None:
         "noise",
         "position-error",
         "rotation-error",
+        "arm",
+        "camera",
+        "calibration",
+        "egomotion",
         "seed",
         "out",
     ]
     assert all(f"--{option} " in done.stdout for option in promised)
-    assert "[m]" in done.stdout and "[rad]" in done.stdout
+    assert "--physics" in done.stdout and "[m]" in done.stdout and "[rad]" in done.stdout
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,9 @@ def test_the_result_is_as_its_schema_says(written: Path) -> None:
     result = read(written / "first")
     assert violations(result, SCHEMA) == []
     assert result["seed"] == 3 and result["scene"] == LookSettings().scene
-    assert result["settings"] == LookSettings(views=VIEWS, quality="preview").resolved()
+    own = {"arm": "ideal", "camera": "ideal", "noise": 2.0, "estimator": "circle"}
+    assert result["settings"] == LookSettings(views=VIEWS, quality="preview").resolved() | own
+    assert all(pose["error_m"] < 1e-9 and pose["sigma_m"] == 0 for pose in result["poses"])
     assert len(result["points"]) > 100
 
 

@@ -7,9 +7,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator import InvalidInput
 from extremal.estimator.poses import pose_exp
+from extremal.estimator.projection import adjoint
 from extremal.sim import NOMINAL, ArmErrors, ArmGeometry, ArmKinematics
 from extremal.sim.arm import JOINT_LIMITS
-from extremal.sim.chain import ARM_PARAMETERS, adjoint
+from extremal.sim.chain import ARM_PARAMETERS
 
 T_WORLD_BASE = RigidTransform.from_components([0.3, -0.2, 0.5], Rotation.from_rotvec([0.4, -0.3, 0.8]))
 # An arm on which nothing is as on the data sheet, by much more than on any real one.

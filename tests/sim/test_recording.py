@@ -78,7 +78,7 @@ def test_commanded_actual_and_believed_are_three_things(scene: Scene) -> None:
         assert np.abs(off(view.T_world_camera, believed[0])).max() < 1e-12
         np.testing.assert_allclose(view.pose_covariance, wrong.prior.root[i] @ wrong.prior.root[i].T)
     assert 1e-5 < max(noise) < 3e-4
-    assert wrong.prior.common.shape == (4, 6, 6)
+    assert wrong.prior.common.shape == (4, 6, 5)
     np.testing.assert_array_equal(
         wrong.prior.T_world_camera[2].as_matrix(), wrong.views[2].T_world_camera.as_matrix()
     )

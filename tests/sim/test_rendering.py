@@ -137,12 +137,8 @@ def test_bad_input(leaning: Scene) -> None:
     with pytest.raises(RenderingError, match="closed"):
         FrameRenderer(model, Camera(), "preview").render(pose)
     with FrameRenderer(model, Camera(), "preview") as renderer:
-        for bad in (
-            RigidTransform.from_translation([np.nan, 0, 0]),
-            RigidTransform.from_translation([[0, 0, 0]]),
-        ):
-            with pytest.raises(InvalidInput, match="finite"):
-                renderer.render(bad)
+        with pytest.raises(InvalidInput, match="finite"):
+            renderer.render(RigidTransform.from_translation([np.nan, 0, 0]))
     with pytest.raises(InvalidInput, match="16384"):
         FrameRenderer(model, Camera(width=8000), "standard")
     with pytest.raises(InvalidInput, match="can't be inverted"):

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 SCHEMA = json.loads((Path(__file__).parents[2] / "docs" / "result.schema.json").read_text())
 TYPES: dict[str, Any] = {
+    "boolean": bool,
     "object": dict,
     "array": list,
     "string": str,
@@ -52,9 +53,11 @@ def violations(value: Any, schema: dict[str, Any], where: str = "result") -> lis
     assert set(schema) <= KEYWORDS, f"{where}: unknown keywords {set(schema) - KEYWORDS}"
     if "enum" in schema and not any(value == e and type(value) is type(e) for e in schema["enum"]):
         return [f"{where} is {value!r}"]
+    if isinstance(value, bool):
+        return [] if schema.get("type") == "boolean" else [f"{where} is {value!r}"]
     names = schema.get("type", list(TYPES))
     allowed = [names] if isinstance(names, str) else names
-    if isinstance(value, bool) or not any(isinstance(value, TYPES[name]) for name in allowed):
+    if not any(isinstance(value, TYPES[name]) for name in allowed):
         return [f"{where} is {value!r}"]
     if isinstance(value, int | float):
         return [f"{where} is {value}"] if value < schema.get("minimum", -np.inf) else []

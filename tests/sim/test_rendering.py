@@ -136,9 +136,8 @@ def test_bad_input(leaning: Scene) -> None:
     pose = RigidTransform.identity()
     with pytest.raises(RenderingError, match="closed"):
         FrameRenderer(model, Camera(), "preview").render(pose)
-    with FrameRenderer(model, Camera(), "preview") as renderer:
-        with pytest.raises(InvalidInput, match="finite"):
-            renderer.render(RigidTransform.from_translation([np.nan, 0, 0]))
+    with FrameRenderer(model, Camera(), "preview") as renderer, pytest.raises(InvalidInput, match="finite"):
+        renderer.render(RigidTransform.from_translation([np.nan, 0, 0]))
     with pytest.raises(InvalidInput, match="16384"):
         FrameRenderer(model, Camera(width=8000), "standard")
     with pytest.raises(InvalidInput, match="can't be inverted"):

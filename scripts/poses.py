@@ -81,8 +81,8 @@ def _board_poses(
 
 
 def _with_poses(views: tuple[View, ...], prior: PosePrior) -> list[View]:
-    """Views that state the prior's poses, and the covariance of what is independent in each."""
-    covariance = prior.root @ np.swapaxes(prior.root, 1, 2)
+    """Views that state the prior's poses, and all that is uncertain of each, common errors included."""
+    covariance = prior.covariance
     return [
         replace(view, T_world_camera=prior.T_world_camera[i], pose_covariance=covariance[i])
         for i, view in enumerate(views)

@@ -21,7 +21,15 @@ from extremal.estimator.camera import Array, Camera
 from extremal.estimator.corners import Corners
 from extremal.estimator.errors import DegenerateGeometry
 from extremal.estimator.poses import PosePrior, pose_exp
-from extremal.estimator.projection import INTRINSICS, adjoint, cross_matrix, point_by_twist, projection
+from extremal.estimator.projection import (
+    INTRINSICS,
+    adjoint,
+    cross_matrix,
+    intrinsics,
+    point_by_twist,
+    projection,
+    with_intrinsics,
+)
 
 FlangeModel = Callable[[Array], PosePrior]
 """Whitened common errors c (C,) ~ N(0, I) of the arm -> T_base_flange (V) there, in the place of `T_world_camera`; its
@@ -83,16 +91,17 @@ class State:
 
     @property
     def intrinsics(self) -> Array:
-        camera = self.camera
-        return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+        return intrinsics(self.camera)
 
     def moved(self, common: Array, own: Array) -> "State":
         """With steps common (21 + C,) of intrinsics, hand-eye twist, board twist and c, and own (V, K)."""
-        fx, fy, cx, cy, *distortion = (self.intrinsics + common[LENSES]).tolist()
-        if not (np.all(np.isfinite(common)) and min(fx, fy) > 0):
-            raise DegenerateGeometry(f"the calibration diverges (focal lengths {fx:.4g} and {fy:.4g} px)")
+        values = self.intrinsics + common[LENSES]
+        if not (np.all(np.isfinite(common)) and values[:2].min() > 0):
+            raise DegenerateGeometry(
+                f"the calibration diverges (focal lengths {values[0]:.4g} and {values[1]:.4g} px)"
+            )
         return State(
-            replace(self.camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(distortion)),
+            with_intrinsics(self.camera, values),
             self.T_flange_camera * pose_exp(common[HAND_EYE]),
             self.T_base_board * pose_exp(common[BOARD]),
             self.c + common[ARM],

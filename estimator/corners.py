@@ -69,7 +69,7 @@ def find_corners(image: NDArray[np.uint8], camera: Camera | None, board: Board) 
         image: grey (height, width) or RGB (height, width, 3).
         camera: whose response to light is undone; None: grey levels are taken to be proportional to light.
     """
-    grey = _grey(image, camera)
+    grey = (camera or Camera()).linear(image)
     width = grey.shape[1]
     lattice = board.corners[:, :2] / board.square
     markers = _markers(image, board)
@@ -119,12 +119,6 @@ def _covariance(fit: CornerFit, good: NDArray[np.bool_]) -> Array:
     """(n, 2, 2) [px^2] from the noise that the residuals show, at each corner or elsewhere."""
     usual = np.median(fit.variance[good]) if good.any() else 0.0
     return fit.covariance * np.maximum(fit.variance, usual)[:, None, None] + SYSTEMATIC**2 * np.eye(2)
-
-
-def _grey(image: NDArray[np.uint8], camera: Camera | None) -> NDArray[np.float32]:
-    if camera is not None:
-        return camera.linear(image)
-    return image.astype(np.float32) if image.ndim == 2 else image.mean(axis=2, dtype=np.float32)
 
 
 @lru_cache(maxsize=8)

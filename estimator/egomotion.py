@@ -21,7 +21,7 @@ from scipy.spatial.transform import RigidTransform
 from extremal.estimator.board_pose import BoardPose
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import DegenerateGeometry, InvalidInput
-from extremal.estimator.poses import PosePrior, square_root
+from extremal.estimator.poses import PosePrior, pose_log, square_root
 from extremal.estimator.projection import adjoint, focal_sigma, turning
 
 SURPRISING = (
@@ -116,7 +116,7 @@ def combined(prior: PosePrior, measured: PosePrior, known: np.ndarray) -> PosePr
     d, where = np.zeros((views, 6)), np.flatnonzero(known)
     B[where] = np.pad(measured.common, ((0, 0), (0, 0), (0, total - measured.common.shape[2])))
     s[where] = measured.root
-    d[where] = _log(prior.T_world_camera[where].inv() * measured.T_world_camera)
+    d[where] = pose_log(prior.T_world_camera[where].inv() * measured.T_world_camera)
 
     prior_variance = prior.root @ np.swapaxes(prior.root, 1, 2)
     W_inverse = np.zeros((views, 6, 6))
@@ -142,12 +142,6 @@ def combined(prior: PosePrior, measured: PosePrior, known: np.ndarray) -> PosePr
         np.sqrt(excess) * mixed @ root_c,
         prior.focal_sigma,
     )
-
-
-def _log(poses: RigidTransform) -> Array:
-    """Twists (V, 6) = (translation [m], rotation vector [rad]): the inverse of `pose_exp`."""
-    coordinates = poses.as_exp_coords()
-    return np.concatenate([coordinates[:, 3:], coordinates[:, :3]], axis=1)
 
 
 def _inverse(covariance: Array) -> Array:

@@ -118,3 +118,9 @@ def square_root(covariance: Array) -> Array:
 def pose_exp(errors: Array) -> RigidTransform:
     """exp of twists (..., 6) = (translation [m], rotation vector [rad])."""
     return RigidTransform.from_exp_coords(np.concatenate([errors[..., 3:], errors[..., :3]], axis=-1))
+
+
+def pose_log(poses: RigidTransform) -> Array:
+    """Twists (..., 6) = (translation [m], rotation vector [rad]) of poses (...): the inverse of `pose_exp`."""
+    coordinates = poses.as_exp_coords()
+    return np.concatenate([coordinates[..., 3:], coordinates[..., :3]], axis=-1)

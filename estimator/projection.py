@@ -1,5 +1,7 @@
 """Derivatives of images of points: by the point, by the camera's own motion and by its intrinsics."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
@@ -68,6 +70,17 @@ def adjoint(poses: RigidTransform) -> Array:
     out[..., :3, :3] = out[..., 3:, 3:] = R
     out[..., :3, 3:] = cross_matrix(poses.translation) @ R
     return out
+
+
+def intrinsics(camera: Camera) -> Array:
+    """Values (9,) of `INTRINSICS`."""
+    return np.array([camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion])
+
+
+def with_intrinsics(camera: Camera, values: Array) -> Camera:
+    """The camera with other values (9,) of `INTRINSICS`; InvalidInput as `Camera`'s."""
+    fx, fy, cx, cy, *distortion = values.tolist()
+    return replace(camera, fx=fx, fy=fy, cx=cx, cy=cy, distortion=tuple(distortion))
 
 
 def turning(camera: Camera) -> Array:

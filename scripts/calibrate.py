@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import cv2
 import numpy as np
@@ -24,14 +24,17 @@ from extremal.estimator.calibration_file import save_calibration
 from extremal.estimator.camera import Camera
 from extremal.estimator.corners import Corners, find_corners
 from extremal.estimator.photographs import read_photographs, write_poses
-from extremal.estimator.projection import INTRINSICS
+from extremal.estimator.poses import pose_log
+from extremal.estimator.projection import INTRINSICS, intrinsics
 from extremal.scenes import Scene
 from extremal.scenes.scene import Background, Light
 from extremal.scripts.calibration_picture import draw_calibration
 from extremal.scripts.output import output_folder
-from extremal.sim import ArmErrors, Recording, get_arm, record
+from extremal.sim import Recording, get_arm, record
+from extremal.sim.arm_errors import ArmName
 from extremal.sim.board_motion import BoardMotion
 from extremal.sim.board_place import upright_board
+from extremal.sim.cameras import CameraName
 from extremal.sim.chain import NOMINAL
 from extremal.sim.rig import Rig
 
@@ -48,9 +51,9 @@ class CalibrateSettings:
     """folder of photographs of the board, PNG or JPEG; with --poses"""
     poses: Annotated[Path | None, tyro.conf.arg(metavar="CSV")] = None
     """T_base_flange of each photograph: image,x,y,z,qx,qy,qz,qw or image,x,y,z,rx,ry,rz [m, rad]; see docs/calibration.md"""
-    arm: Literal["ideal", "calibrated", "typical", "poor"] = "calibrated"
+    arm: ArmName = "calibrated"
     """how good the arm is; of photographs, how good its poses are taken to be at first"""
-    camera: Literal["ideal", "industrial", "webcam"] = "industrial"
+    camera: CameraName = "industrial"
     """simulated lens and sensor"""
     views: Annotated[int, tyro.conf.arg(metavar="N")] = 30
     """number of simulated views"""
@@ -158,7 +161,7 @@ def _from_photographs(
     _, photographs, T_base_flange = read_photographs(images, poses)
     height, width = photographs[0].shape[:2]
     corners = _corners(photographs, None, board, console)
-    errors: ArmErrors = get_arm(settings.arm)
+    errors = get_arm(settings.arm)
     position, rotation = max(errors.position, 1e-5), max(errors.rotation, 1e-5)
     flange = fixed_poses(T_base_flange, position, rotation)
     return fit_calibration(board, corners, flange, (width, height), scale_view_errors=True)
@@ -186,9 +189,9 @@ def calibration_errors(fit: CalibrationFit, truth: Truth) -> dict[str, float]:
     """Errors against truth. coverage_95: share of all numbers (intrinsics, hand-eye transform, poses of the views) that lie
     within 1.96 standard deviations of the truth."""
     found = fit.calibration
-    mounting = _log(found.T_flange_camera.inv() * truth.T_flange_camera)
-    poses = _log(fit.T_board_camera.inv() * truth.T_board_camera)
-    lens = np.subtract(_intrinsics(truth.camera), _intrinsics(found.camera))
+    mounting = pose_log(found.T_flange_camera.inv() * truth.T_flange_camera)
+    poses = pose_log(fit.T_board_camera.inv() * truth.T_board_camera)
+    lens = np.subtract(intrinsics(truth.camera), intrinsics(found.camera))
     sigma = found.sigma
     used = ~fit.blunders
     pose_sigma = np.sqrt(np.diagonal(fit.pose_covariance[used], axis1=1, axis2=2))
@@ -210,22 +213,13 @@ def calibration_errors(fit: CalibrationFit, truth: Truth) -> dict[str, float]:
     }
 
 
-def _log(poses: RigidTransform) -> np.ndarray:
-    x = poses.as_exp_coords()
-    return np.concatenate([x[..., 3:], x[..., :3]], axis=-1)
-
-
-def _intrinsics(camera: Camera) -> list[float]:
-    return [camera.fx, camera.fy, camera.cx, camera.cy, *camera.distortion]
-
-
 def _table(fit: CalibrationFit, errors: dict[str, float] | None) -> Table:
     found = fit.calibration
     sigma = found.sigma
     table = Table(title=f"calibration from {found.views} views", box=SIMPLE)
     for name in ("", "value", "sigma"):
         table.add_column(name, justify="left" if not name else "right", no_wrap=True)
-    for name, value in zip(INTRINSICS, _intrinsics(found.camera), strict=True):
+    for name, value in zip(INTRINSICS, intrinsics(found.camera), strict=True):
         digits = 3 if name in INTRINSICS[:4] else 5
         unit = " [px]" if name in INTRINSICS[:4] else ""
         table.add_row(name + unit, f"{value:.{digits}f}", f"{sigma[name]:.{digits}f}")

@@ -26,11 +26,11 @@ from extremal.scripts.picture import draw
 from extremal.scripts.poses import Egomotion, known_poses, pose_errors
 from extremal.scripts.scoring import Scored, score
 from extremal.sim import ArmErrors, Drive, LinearMotion, Recording, record
+from extremal.sim.arm_errors import ArmName
 from extremal.sim.board_place import board_in_view
+from extremal.sim.cameras import CameraName
 from extremal.sim.rig import Rig
 
-ArmName = Literal["ideal", "calibrated", "typical", "poor"]
-CameraName = Literal["ideal", "industrial", "webcam"]
 LEAST_SHOWN = 3  # points of a contour that are worth a line of the table
 EXPERIMENTS = {
     "metric": {"views": 15, "baseline": 0.4, "distance": 0.6},

@@ -15,7 +15,7 @@ from extremal.estimator.board_pose import BoardPose, board_pose
 from extremal.estimator.camera import View
 from extremal.estimator.corners import find_corners
 from extremal.estimator.egomotion import board_egomotion, fused_egomotion
-from extremal.estimator.poses import PosePrior
+from extremal.estimator.poses import PosePrior, pose_log
 from extremal.scenes.board import CalibrationBoard
 from extremal.sim import Recording
 from extremal.sim.rig import Rig
@@ -107,13 +107,13 @@ def pose_errors(recording: Recording, prior: PosePrior) -> list[dict[str, float]
 
     The world of poses from a board is the board's; that of all others the robot's.
     """
-    left = (prior.T_world_camera.inv() * RigidTransform.concatenate(recording.actual)).as_exp_coords()
+    left = pose_log(prior.T_world_camera.inv() * RigidTransform.concatenate(recording.actual))
     variance = np.diagonal(prior.covariance, axis1=1, axis2=2)
     return [
         {
-            "error_m": float(np.linalg.norm(off[3:])),
+            "error_m": float(np.linalg.norm(off[:3])),
             "sigma_m": float(np.sqrt(v[:3].sum())),
-            "error_rad": float(np.linalg.norm(off[:3])),
+            "error_rad": float(np.linalg.norm(off[3:])),
             "sigma_rad": float(np.sqrt(v[3:].sum())),
         }
         for off, v in zip(left, variance, strict=True)

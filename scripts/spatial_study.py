@@ -14,7 +14,7 @@ import numpy as np
 
 from extremal.estimator.adjustment import Adjustment, adjust
 from extremal.estimator.camera import Array
-from extremal.estimator.poses import PosePrior
+from extremal.estimator.poses import PosePrior, pose_log
 from extremal.estimator.support import Sections
 from extremal.scripts.joint_study import POSITION, ROTATION, Progress, in_processes, study_table
 from extremal.scripts.synthetic import Observation, TangentScene, observe
@@ -112,7 +112,7 @@ def _scores(scene: TangentScene, seen: Observation, found: Adjustment) -> tuple[
     z = error / contours.sigma_radius
     sphere = scene.radii != 0
     at = seen.features[1].origin + points.theta - scene.points
-    missed = (found.T_world_camera.inv() * scene.T_world_camera).as_exp_coords()[:, [3, 4, 5, 0, 1, 2]]
+    missed = pose_log(found.T_world_camera.inv() * scene.T_world_camera)
     return (
         1e3 * float(np.median(contours.sigma_radius[sphere])),
         float(np.mean(z[sphere] ** 2)),

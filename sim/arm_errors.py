@@ -30,6 +30,7 @@ numbers alone: stretched out, two of the same type differ by millimetres (Univer
 """
 
 from dataclasses import dataclass, fields, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,7 +107,7 @@ class ArmErrors:
         common = derivatives * np.concatenate([self.parameters, self.hand_eye])
         return PosePrior(
             T_world_base * believed.camera_poses(readings),
-            self._root(derivatives[:, :, :6], np.diag(self.repeatability)),
+            self.view_root(derivatives),
             common[:, :, np.any(common, axis=(0, 1))],
         )
 
@@ -115,6 +116,10 @@ class ArmErrors:
         scatter = adjoint(believed.T_flange_camera) @ np.diag(self.repeatability)
         root = self._root(believed.derivatives(readings)[:, :, :6], scatter)
         return FlangeKinematics(believed, readings, self.parameters, root)
+
+    def view_root(self, derivatives: Array) -> Array:
+        """(V, 6, K) square roots of what is independent in every view of the camera, of its `camera_derivatives` (V, 6, 24)."""
+        return self._root(derivatives[:, :, :6], np.diag(self.repeatability))
 
     def _root(self, jacobian: Array, scatter: Array) -> Array:
         """(V, 6, K) square roots of what is independent in every view: noise through Jacobians (V, 6, 6), and (6, 6)."""
@@ -166,7 +171,8 @@ class FlangeKinematics:
         return PosePrior(arm.flange_poses(self.readings), self.root, moved)
 
 
-ARMS = {
+ArmName = Literal["ideal", "calibrated", "typical", "poor"]
+ARMS: dict[str, ArmErrors] = {
     "ideal": ArmErrors(),
     "calibrated": ArmErrors(
         position=2e-5,

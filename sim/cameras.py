@@ -16,6 +16,7 @@ The industrial one has the sensor Sony IMX174, of which EMVA 1288 data sheets ar
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput
@@ -51,6 +52,7 @@ _WEBCAM = CameraPreset(
         4000, 8, vignetting=0.35, exposure_drift=0.04, white_balance_drift=0.02, exposure_time=0.02
     ),
 )
+CameraName = Literal["ideal", "industrial", "webcam"]
 CAMERAS = {
     preset.name: preset for preset in (CameraPreset("ideal", Camera(), Sensor()), _INDUSTRIAL, _WEBCAM)
 }

@@ -110,8 +110,7 @@ class FrameRenderer:
         """The frame (height, width) [grey levels] seen from a pose, or from poses (S) in turn while the shutter is open.
 
         Args:
-            T_world_camera: a pose; or S, those in the middle of equal parts of the exposure. They are smeared into one
-                another where the image moves by less than a pixel from one to the next.
+            T_world_camera: a pose; or S, those in the middle of equal parts of the exposure, of which the mean is taken.
             gains: (3,) of R, G and B, before their mean is taken.
 
         Raises:
@@ -120,7 +119,7 @@ class FrameRenderer:
         """
         if self._context is None or self._gl is None:
             raise RenderingError("the renderer is closed; use it in a `with` statement")
-        shape = T_world_camera.shape
+        shape = T_world_camera.as_matrix().shape[:-2]
         if len(shape) > 1 or 0 in shape or not np.all(np.isfinite(T_world_camera.as_matrix())):
             raise InvalidInput(
                 f"T_world_camera of shape {shape} must be one finite transform, or a row of them"
@@ -129,7 +128,7 @@ class FrameRenderer:
         if weights.shape != (3,) or not np.all((weights > 0) & np.isfinite(weights)):
             raise InvalidInput(f"gains are {weights.tolist()}; accepted: three positive numbers")
         self._gl.make_current()
-        poses = [T_world_camera] if T_world_camera.single else list(T_world_camera)
+        poses = [T_world_camera] if not shape else [T_world_camera[i] for i in range(len(T_world_camera))]
         total = np.zeros(self._window.shape, np.float32)
         for pose in poses:
             self._look_from(pose)

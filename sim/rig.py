@@ -16,7 +16,7 @@ from extremal.estimator.calibration import HAND_EYE, Calibration
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.poses import PosePrior, pose_exp
-from extremal.estimator.projection import INTRINSICS, focal_sigma, turning
+from extremal.estimator.projection import INTRINSICS, focal_sigma, intrinsics, turning, with_intrinsics
 from extremal.sim.arm_errors import ArmErrors, get_arm
 from extremal.sim.cameras import get_camera
 from extremal.sim.chain import ARM_PARAMETERS, NOMINAL, ArmGeometry
@@ -77,7 +77,7 @@ class Rig:
             T_flange_camera=believed.T_flange_camera * pose_exp(mounting),
         )
         position, rotation = calibration.view_errors
-        camera = _moved(calibration.camera, off[: len(INTRINSICS)])
+        camera = with_intrinsics(calibration.camera, intrinsics(calibration.camera) + off[: len(INTRINSICS)])
         errors = ArmErrors(position=position, rotation=rotation)
         return Rig(camera, geometry, Sensor(), calibration.camera, believed, errors, root, "real", "real")
 
@@ -88,13 +88,13 @@ class Rig:
 
     def prior(self, readings: Array, T_world_base: RigidTransform) -> PosePrior:
         """What is known of T_world_camera (V) at encoder readings (V, 6) [rad]."""
-        own = replace(self.errors, joint_offset=0, link_length=0, hand_eye_position=0, hand_eye_rotation=0)
-        prior = own.prior(self.believed, readings, T_world_base)
         by_parameters = self.believed.camera_derivatives(readings)
         by_intrinsics = np.broadcast_to(turning(self.believed_camera), (len(readings), 6, len(INTRINSICS)))
-        modes = np.concatenate([by_intrinsics, by_parameters], axis=2) @ self.root
-        return replace(
-            prior, common=modes, focal_sigma=focal_sigma(self.believed_camera, self.intrinsics_root)
+        return PosePrior(
+            T_world_base * self.believed.camera_poses(readings),
+            self.errors.view_root(by_parameters),
+            np.concatenate([by_intrinsics, by_parameters], axis=2) @ self.root,
+            focal_sigma(self.believed_camera, self.intrinsics_root),
         )
 
 
@@ -123,11 +123,3 @@ def _root_of(correlation: Array) -> Array:
     values, vectors = np.linalg.eigh(correlation)
     kept = values > 1e-12
     return vectors[:, kept] * np.sqrt(values[kept])
-
-
-def _moved(camera: Camera, off: Array) -> Camera:
-    fx, fy, cx, cy = np.array([camera.fx, camera.fy, camera.cx, camera.cy]) + off[:4]
-    k1, k2, p1, p2, k3 = (float(v) for v in np.array(camera.distortion) + off[4:])
-    return replace(
-        camera, fx=float(fx), fy=float(fy), cx=float(cx), cy=float(cy), distortion=(k1, k2, p1, p2, k3)
-    )

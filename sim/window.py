@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import map_coordinates
 
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import InvalidInput
@@ -70,7 +70,7 @@ class Window:
 
     def distort(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """The sensor's fine image, with margin, from the rendered one; rows of both start at the bottom."""
-        return np.asarray(cv2.remap(image, *self._maps, cv2.INTER_LANCZOS4), np.float32)
+        return map_coordinates(image, self._maps[::-1], np.float32, order=3, mode="nearest")
 
     @cached_property
     def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -1,0 +1,1 @@
+"""Tasks: gymnasium environments around the estimator, planners and policies, scored against ground truth."""

@@ -12,23 +12,25 @@ from scipy.special import ndtr
 from extremal.estimator import Camera, Contours, View, find_contours
 from extremal.estimator.contours import ROWS, _profiles
 from extremal.estimator.profile import PIXEL_VARIANCE, fit_profiles, offsets
-from extremal.scenes import Appearance, Background, Box, BoxPatch, Lathe, Light, Scene, Sphere, SurfaceCurve
-from extremal.sim import FrameRenderer, Sensor, fixating, scene_model
+from extremal.scenes import Scene, SurfaceCurve
+from extremal.scripts.edge_cases import (
+    NOISE,
+    Case,
+    Labels,
+    backlit_cases,
+    camera_cases,
+    fixed_cases,
+    limb_cases,
+    textured_case,
+)
+from extremal.sim import FrameRenderer, fixating, scene_model
 
 Progress = Callable[[int, int], None]
-Labels = Callable[
-    [SurfaceCurve, np.ndarray], np.ndarray
-]  # names of a curve's points, seen from a centre; or ""
 
 DISTANCE = 0.6  # [m] from the camera to the target
-NOISE = 2.0  # [grey levels]
 MATCHED = 2.0  # [px] beyond which an edgel belongs to no true edge
+SUB_EXPOSURES = 8  # of a frame that is smeared
 JUNCTION = 6.0  # [px] from the ends of visible edges within which nothing is counted
-FAINT = 20.0  # [grey levels] of true contrast at the limb, below which it gets a row of its own
-ALBEDO, DIFFUSE, AMBIENT = 0.5, 0.7, 0.15
-BRIGHT, DARK = 0.9, 0.05
-LATHE_Z, LATHE_R = (0.0, 0.05, 0.1, 0.15, 0.2), (0.046, 0.038, 0.0285, 0.037, 0.045)
-ANGLES = ((0.5, 0.4, 0.1), (-0.2, 0.6, 0.7), (0.9, -0.5, -0.3))  # rotation vectors of the boxes
 
 
 @dataclass(frozen=True)
@@ -59,15 +61,6 @@ class EdgeRow:
 
 
 @dataclass(frozen=True, eq=False)
-class _Case:
-    scene: Scene
-    labels: Labels
-    background: str
-    light: str = ""
-    quality: str = "metrology"
-
-
-@dataclass(frozen=True, eq=False)
 class _Errors:
     """Errors [px] of n edgels, with what the estimator states of them; `edgel` is NaN where there is no edge."""
 
@@ -80,12 +73,18 @@ class _Errors:
 
 def edge_study(seeds: int, progress: Progress | None = None) -> list[EdgeRow]:
     """Errors of every kind of edge, pooled over `seeds` frames of each scene: other poses, other noise."""
-    return _study([*fixed_cases(), *backlit_cases(), *limb_cases(), textured_case()], seeds, progress)
+    cases = [*fixed_cases(), *backlit_cases(), *limb_cases(), textured_case(), *camera_cases()]
+    return _study(cases, seeds, progress)
 
 
 def simple_edge_study(seeds: int) -> list[EdgeRow]:
     """The same of edges without shading: boxes and black silhouettes."""
     return _study([*fixed_cases()[:2], *backlit_cases()[:1]], seeds, None)
+
+
+def camera_edge_study(seeds: int) -> list[EdgeRow]:
+    """The same as other cameras, and moving ones, see them."""
+    return _study(camera_cases(), seeds, None)
 
 
 def edge_table(rows: list[EdgeRow]) -> str:
@@ -102,119 +101,11 @@ def _cell(name: str, value: str | float) -> str:
     return f"{value:.1%}" if name == "coverage" else f"{value:+.4f}" if name == "bias_px" else f"{value:.4f}"
 
 
-# The scenes.
-
-
-def fixed_cases() -> list[_Case]:
-    """Boxes whose faces differ in shade, in three orientations and both qualities."""
-    lights = (Light((1, 0.4, -0.7), DIFFUSE, AMBIENT, 0), Light((0.2, -1, -0.2), 0.3, 0, 0))
-    cases = []
-    for quality in ("metrology", "standard"):
-        for angles in ANGLES:
-            pose = RigidTransform.from_rotation(Rotation.from_rotvec(angles))
-            box = Box(size=(0.12, 0.14, 0.16), T_world_object=pose, appearance=_matte(ALBEDO))
-            cases.append(_Case(_scene((box,), lights, BRIGHT), _creases, "bright", quality=quality))
-    return cases
-
-
-def backlit_cases() -> list[_Case]:
-    """Black silhouettes of a sphere and a lathe, in both qualities."""
-    scene = _scene(_round_objects(0.0), (), BRIGHT)
-    return [_Case(scene, _backlit, "bright", quality=quality) for quality in ("metrology", "standard")]
-
-
-def limb_cases() -> list[_Case]:
-    """Matte extremal boundaries under one light, from eight sides, before a bright and a dark sky."""
-    cases = []
-    for background, sky in (("bright", BRIGHT), ("dark", DARK)):
-        for azimuth in range(0, 360, 45):
-            angle = np.radians(azimuth)
-            light = Light((float(np.cos(angle)), float(np.sin(angle)), 0), DIFFUSE, AMBIENT, 0)
-            scene = _scene(_round_objects(ALBEDO), (light,), sky)
-            cases.append(_Case(scene, _limb_labels(light, sky), background, str(azimuth)))
-    return cases
-
-
-def textured_case() -> _Case:
-    """A sphere before a board of patches."""
-    rng = np.random.default_rng(0)
-    patches = []
-    for y in np.arange(-6, 7) * 0.04:
-        for z in np.arange(-4, 5) * 0.04:
-            patches.append(_patch(f"{len(patches)}", float(y), float(z), rng))
-    board = Box(
-        name="board",
-        size=(0.01, 0.6, 0.44),
-        markings=tuple(patches),
-        T_world_object=RigidTransform.from_translation([0.1, 0, 0]),
-        appearance=_matte(0.8),
-    )
-    sphere = Sphere(radius=0.07, appearance=_matte(ALBEDO))
-    light = Light((1, 0.6, -0.5), DIFFUSE, AMBIENT, 0)
-    return _Case(_scene((sphere, board), (light,), BRIGHT), _sphere_limb, "textured", "31")
-
-
-def _patch(name: str, y: float, z: float, rng: np.random.Generator) -> BoxPatch:
-    width, height = rng.uniform(0.02, 0.039, 2)
-    grey = float(rng.uniform(0.02, 1.0))
-    return BoxPatch(name, "-x", (y, z), (float(width), float(height)), (grey, grey, grey, 1.0))
-
-
-def _round_objects(albedo: float) -> tuple[Sphere, Lathe]:
-    look = _matte(albedo)
-    there, here = (RigidTransform.from_translation(t) for t in ([0, 0.1, 0], [0, -0.1, -0.1]))
-    return (
-        Sphere(radius=0.06, T_world_object=there, appearance=look),
-        Lathe(profile_z=LATHE_Z, profile_r=LATHE_R, T_world_object=here, appearance=look),
-    )
-
-
-def _matte(grey: float) -> Appearance:
-    return Appearance((grey, grey, grey, 1.0))
-
-
-def _scene(objects: tuple, lights: tuple[Light, ...], sky: float) -> Scene:
-    return Scene(objects, lights, Background((sky, sky, sky)), target=(0.0, 0.0, 0.0))
-
-
-def _creases(curve: SurfaceCurve, centre: np.ndarray) -> np.ndarray:
-    """Creases between two visible faces, or where the box ends."""
-    other = curve.normals if curve.other_normals is None else curve.other_normals
-    ray = curve.points - centre
-    both = (np.sum(curve.normals * ray, axis=1) < 0) & (np.sum(other * ray, axis=1) < 0)
-    return np.where(both, "box creases", "box outline")
-
-
-def _backlit(curve: SurfaceCurve, centre: np.ndarray) -> np.ndarray:
-    name = f"backlit {curve.object}" if curve.kind == "extremal" else ""
-    return np.full(len(curve.points), name, object)
-
-
-def _sphere_limb(curve: SurfaceCurve, centre: np.ndarray) -> np.ndarray:
-    return np.full(len(curve.points), "sphere limb" if curve.object == "sphere" else "", object)
-
-
-def _limb_labels(light: Light, sky: float) -> Labels:
-    """Names by object and by what the shading leaves of the contrast at the limb itself."""
-
-    def labels(curve: SurfaceCurve, centre: np.ndarray) -> np.ndarray:
-        if curve.kind != "extremal":
-            return np.full(len(curve.points), "", object)
-        lit = np.maximum(-curve.normals @ np.array(light.direction), 0)
-        contrast = 255 * (sky - ALBEDO * (AMBIENT + DIFFUSE * lit))
-        name = f"{curve.object} limb"
-        return np.where(np.abs(contrast) < FAINT, f"{name}, faint", name).astype(object)
-
-    return labels
-
-
-# From frames to errors.
-
-
-def _study(cases: list[_Case], seeds: int, progress: Progress | None) -> list[EdgeRow]:
+def _study(cases: list[Case], seeds: int, progress: Progress | None) -> list[EdgeRow]:
     found: dict[tuple[str, str, str], list[_Errors]] = {}
     for i, case in enumerate(cases):
-        suffix = "" if case.quality == "metrology" else f" ({case.quality})"
+        others = [case.camera_name, "" if case.quality == "metrology" else case.quality]
+        suffix = "".join(f" ({word})" for word in others if word)
         for errors in _case_errors(case, seeds, np.random.default_rng([7, i])):
             for name in np.unique(errors.label):
                 part = _Errors(*(getattr(errors, f.name)[errors.label == name] for f in fields(_Errors)))
@@ -249,21 +140,31 @@ def unit_step_bound(blur: float = Camera().blur) -> float:
     return float(NOISE / np.sqrt(ROWS) / np.linalg.norm(left))
 
 
-def _case_errors(case: _Case, seeds: int, rng: np.random.Generator) -> Iterator[_Errors]:
-    camera = Camera()
-    with FrameRenderer(scene_model(case.scene.to_spec()), camera, case.quality) as renderer:
-        for _ in range(seeds):
-            pose = _pose(rng)
-            view = View(camera, pose, Sensor(NOISE).read(renderer.render(pose), camera, rng))
+def _case_errors(case: Case, seeds: int, rng: np.random.Generator) -> Iterator[_Errors]:
+    gains = case.sensor.gains(seeds, rng)
+    with FrameRenderer(scene_model(case.scene.to_spec()), case.camera, case.quality) as renderer:
+        for i in range(seeds):
+            pose = _pose(case.aside, rng)
+            frame = renderer.render(_exposure(pose, case.smear, case.camera, rng), gains[i])
+            view = View(case.camera, pose, case.sensor.read(frame, case.camera, rng))
             yield view_errors(view, case.scene, case.labels)
 
 
-def _pose(rng: np.random.Generator) -> RigidTransform:
-    """A camera on the -x axis, turned about the target by up to 3 degrees and about its own axis by up to 17."""
+def _pose(aside: float, rng: np.random.Generator) -> RigidTransform:
+    """A camera on the -x axis, turned away from the target by up to `aside` [rad] and about its own axis by up to 0.3."""
     y, z = rng.uniform(-0.03, 0.03, 2)
     pose = fixating(np.array([[-DISTANCE, y, z]]), np.zeros(3))[0]
-    turn = rng.uniform(-1, 1, 3) * (0.01, 0.01, 0.3)
+    turn = rng.uniform(-1, 1, 3) * (aside, aside, 0.3)
     return pose * RigidTransform.from_rotation(Rotation.from_rotvec(turn))
+
+
+def _exposure(pose: RigidTransform, smear: float, camera: Camera, rng: np.random.Generator) -> RigidTransform:
+    """Poses of sub-exposures around one, of a camera that moves sideways and smears the target by so many pixels."""
+    if not smear:
+        return pose
+    direction, steps = rng.uniform(0, 2 * np.pi), (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
+    way = smear * DISTANCE / camera.fx * np.array([np.cos(direction), np.sin(direction), 0.0])
+    return pose * RigidTransform.from_translation(steps[:, None] * way)
 
 
 def view_errors(view: View, scene: Scene, labels: Labels) -> _Errors:
@@ -296,7 +197,7 @@ def _edgel_steps(view: View, contours: Contours) -> tuple[np.ndarray, np.ndarray
     camera = view.camera
     lines = contours.u[:, None] + np.arange(ROWS) - (ROWS - 1) / 2
     position, _, normal, curvature = contours.splines.frame(lines)
-    profiles = _profiles(view.image.astype(np.float32), position, normal)
+    profiles = _profiles(camera.linear(view.image), position, normal)
     fit = fit_profiles(profiles, contours.noise, ROWS, camera.blur, contours.contour)
     step = fit.offset - 0.5 * (camera.blur**2 + PIXEL_VARIANCE) * curvature.mean(axis=1)
     return step, np.isfinite(fit.sigma) & (fit.sigma < 0.7)

@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 from extremal.scripts.cli import COMMANDS
 
 ROOT = Path(__file__).parent.parent
-LAYERS = ("scripts", "tasks", "sim", "scenes", "estimator")  # each imports only from itself and those to its right
+LAYERS = ("scripts", "tasks", "sim", "scenes", "estimator")  # each imports from itself and its right
 PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 SETUPTOOLS = PYPROJECT["tool"]["setuptools"]
 SOURCES = sorted(path for layer in LAYERS for path in (ROOT / layer).rglob("*.py"))

@@ -12,7 +12,7 @@ from extremal.estimator.calibration import HAND_EYE
 from extremal.estimator.calibration_equations import ARM, FlangeModel, Sightings, State, linearise
 from extremal.estimator.corners import Corners
 from extremal.estimator.poses import pose_exp, pose_log
-from extremal.estimator.projection import INTRINSICS, intrinsics
+from extremal.estimator.projection import INTRINSICS, intrinsics, turning
 from extremal.sim import NOMINAL, ArmKinematics
 from extremal.sim.board_motion import BoardMotion
 from extremal.sim.board_place import upright_board
@@ -111,3 +111,47 @@ def test_errors_are_as_stated(arm: str, runs: int) -> None:
     assert abs(np.mean(nees) / 15 - 1) < 5 * np.sqrt(2 / (15 * runs))
     assert np.mean(np.abs(scaled) < 1.96) > 0.95 - 5 * np.sqrt(0.05 * 0.95 / (15 * runs))
     assert abs(np.mean(poses) / 6 - 1) < 5 * np.sqrt(2 / (6 * runs))
+
+
+def test_a_calibrated_rig_knows_its_poses_elsewhere() -> None:
+    """Readings that the calibration has not seen, at each of which the arm errs anew: NEES, and far better than before."""
+    runs, nees, better = 10, [], []
+    for seed in range(runs):
+        fit, rig, _ = calibrated(seed, "typical")
+        rng = np.random.default_rng([seed, 8])
+        readings = rng.uniform(-1.5, 1.5, (1, 6))
+        _, errors = rig.errors.scatter(1, rng)
+        actual = rig.geometry.camera_poses(readings) * pose_exp(errors)
+        distances = []
+        for known in (rig, rig.calibrated(fit.calibration)):
+            prior = known.prior(readings, RigidTransform.identity())
+            left = pose_log(prior.T_world_camera.inv() * actual)[0]
+            distances.append(np.linalg.norm(left[:3]))
+        nees.append(left @ np.linalg.solve(prior.covariance[0], left))
+        better.append(distances[1] < distances[0])
+    assert abs(np.mean(nees) / 6 - 1) < 5 * np.sqrt(2 / (6 * runs))
+    assert np.mean(better) >= 0.7
+
+
+def test_a_rig_like_a_real_one_is_drawn_from_its_calibration() -> None:
+    """Scatter of many drawn rigs' cameras and poses about what is believed: as the calibration's covariance says."""
+    fit, *_ = calibrated(3, "typical")
+    rng, count = np.random.default_rng(0), 400
+    readings = rng.uniform(-1.0, 1.0, (1, 6))
+    rigs = [Rig.like(fit.calibration, rng) for _ in range(count)]
+    prior = rigs[0].prior(readings, RigidTransform.identity())
+    assert rigs[0].arm == "real" and rigs[0].believed_camera == fit.calibration.camera
+    common = prior.common[0] @ prior.common[0].T
+    # what the wrong intrinsics do to rays is part of the common errors, not of where the camera is
+    turned = turning(rigs[0].believed_camera)
+    off = np.array(
+        [
+            pose_log(prior.T_world_camera.inv() * rig.geometry.camera_poses(readings))[0]
+            + turned @ np.subtract(intrinsics(rig.camera), intrinsics(rig.believed_camera))
+            for rig in rigs
+        ]
+    )
+    nees = np.einsum("ri,ij,rj->r", off, np.linalg.pinv(common, rcond=1e-12), off)
+    assert abs(nees.mean() / np.linalg.matrix_rank(common, tol=1e-12 * common.max()) - 1) < 5 * np.sqrt(
+        2 / (6 * count)
+    )

@@ -1,4 +1,8 @@
-"""A smooth map from a board to its image: a homography, and a cubic for what a lens adds to it."""
+"""A smooth map from a board to its image: a homography, then a cubic of its pixels for what a lens does to them.
+
+Distortion is a polynomial of the pinhole image's coordinates, not of the board's: so bent edges of a slanted board are
+straightened as exactly as of one that faces the camera.
+"""
 
 from dataclasses import dataclass
 
@@ -20,13 +24,14 @@ class BoardMap:
 
     Attributes:
         homography: (3, 3).
-        middle, half: (2,) of the points it was fitted to: the cubic's variables are (point - middle) / half.
+        middle, half: (2,) and scalar [px] of what it was fitted to: the cubic's variables are (pixel - middle) / half, with
+            the homography's pixels.
         cubic: (10, 2) coefficients [px].
     """
 
     homography: Array
     middle: Array
-    half: Array
+    half: float
     cubic: Array
 
     @staticmethod
@@ -45,10 +50,11 @@ class BoardMap:
             return None
         kept = np.ravel(inside) > 0
         points, pixels = points[kept], pixels[kept]
-        middle, half = points.mean(axis=0), np.ptp(points, axis=0) / 2
+        middle, half = pixels.mean(axis=0), float(np.ptp(pixels, axis=0).max()) / 2
         plane = BoardMap(np.asarray(found, float), middle, half, np.zeros((len(POWERS), 2)))
-        left, basis = pixels - plane(points), _monomials((points - middle) / half)
-        share = float(np.ptp(pixels, axis=0).max()) / (2 * width)
+        through = plane(points)
+        left, basis = pixels - through, _monomials((through - middle) / half)
+        share = half / width
         # what two rows of corners leave open is taken to be linear
         expected = BENDING * width * np.where(DEGREE > 1, share**DEGREE, 1.0)
         cubic, weight = plane.cubic, np.ones(len(points))
@@ -62,7 +68,8 @@ class BoardMap:
     def __call__(self, points: Array) -> Array:
         """Pixels (..., 2) of points (..., 2)."""
         h = points @ self.homography[:, :2].T + self.homography[:, 2]
-        return h[..., :2] / h[..., 2:] + _monomials((points - self.middle) / self.half) @ self.cubic
+        pixels = h[..., :2] / h[..., 2:]
+        return pixels + _monomials((pixels - self.middle) / self.half) @ self.cubic
 
     def derivatives(self, points: Array) -> tuple[Array, Array]:
         """First (..., 2, 2) and second (..., 2, 2, 2) derivatives of the pixel by the point; the pixel's axis leads."""

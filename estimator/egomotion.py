@@ -64,28 +64,28 @@ def board_egomotion(
 
 
 def fused_egomotion(
-    robot: PosePrior, seen: Sequence[BoardPose | None], board: PosePrior, shared: int = 0
+    robot: PosePrior, seen: Sequence[BoardPose | None], board: PosePrior | None, shared: int = 0
 ) -> PosePrior:
     """Poses in the robot's world from the robot and a board that stands at an unknown place.
 
     Args:
         robot: prior of the poses (V).
         seen: board poses (V), None where the board was not seen well enough.
-        board: `board_egomotion` of the views that saw it, in order.
+        board: `board_egomotion` of the views that saw it, in order; None: no view did.
         shared: number of common errors, the first of both priors, that are the same errors: those of the intrinsics.
 
     Raises:
         DegenerateGeometry: no view saw the board.
     """
     known = np.array([pose is not None for pose in seen])
+    if board is None:
+        raise DegenerateGeometry(
+            "no view saw the board; accepted: at least one, or poses from the robot alone"
+        )
     if len(known) != len(robot.T_world_camera) or known.sum() != len(board.T_world_camera):
         raise InvalidInput(
             f"{len(known)} views, {known.sum()} with board, for a robot's {len(robot.T_world_camera)} poses and a board's "
             f"{len(board.T_world_camera)}; accepted: as many"
-        )
-    if not known.any():
-        raise DegenerateGeometry(
-            "no view saw the board; accepted: at least one, or poses from the robot alone"
         )
     places = robot.T_world_camera[np.flatnonzero(known)] * board.T_world_camera.inv()
     placed = RigidTransform.from_components(np.mean(places.translation, axis=0), places.rotation.mean())

@@ -188,3 +188,20 @@ def _position_covariance(circles: OsculatingCircle, fit: Circles) -> Array:
     with np.errstate(invalid="ignore"):
         outer = [(s**2)[:, None, None] * d[:, :, None] * d[:, None, :] for s, d in terms]
         return np.sum(np.stack(outer), axis=0) * fit.inflation[:, None, None]
+
+
+def nothing(tracks: Tracks) -> Estimate:
+    """An estimate without a valid point."""
+    n = len(tracks.seen)
+    unknown = np.full(n, np.inf)
+    return Estimate(
+        np.zeros(n),
+        unknown,
+        np.full(n, np.nan),
+        unknown.copy(),
+        np.full(n, -1),
+        np.zeros((n, 3)),
+        np.full((n, 3, 3), np.inf),
+        np.zeros_like(tracks.seen),
+        np.zeros(n, bool),
+    )

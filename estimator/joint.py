@@ -27,8 +27,10 @@ from extremal.estimator.estimates import (
     fixed_prior,
     mean_limb,
     misfit,
+    nothing,
     parallax,
 )
+from extremal.estimator.gauge import Gauge, moved_estimate, moved_views
 from extremal.estimator.pooling import window_sum
 from extremal.estimator.poses import PosePrior
 from extremal.estimator.references import bootstrap
@@ -66,14 +68,21 @@ def joint_estimate(
 
     Raises NotConverged.
     """
-    first = _round(views, prior, tracker, None)
-    second = _round(first.views, prior, tracker, first.adjustment)
-    if second.adjustment and not second.adjustment.converged:
+    gauge = Gauge.of(prior)
+    first = _round(views, gauge.still, tracker, None)
+    second = _round(first.views, gauge.still, tracker, first.adjustment)
+    found = second.adjustment
+    if found is None:
+        return second.views, second.tracks, _estimate(second)
+    if not found.converged:
         raise NotConverged(
             f"the joint adjustment of {len(views)} views and {len(second.chosen)} tracks did not settle in {STEPS} steps; "
             "accepted: poses whose errors are as their covariance says, or --estimator circle"
         )
-    return second.views, _carried(second.tracks, second.sequence, second.views), _estimate(second)
+    world, root = gauge.world(found.u, found.root)
+    placed = moved_views(second.views, world)
+    tracks = _carried(second.tracks, second.sequence, placed)
+    return placed, tracks, moved_estimate(_estimate(second), world, root)
 
 
 def _carried(tracks: Tracks, sequence: Sequence3D, views: list[View]) -> Tracks:
@@ -233,7 +242,7 @@ def _moved(views: list[View], prior: PosePrior, adjustment: Adjustment) -> list[
 def _estimate(found: _Round) -> Estimate:
     """The adjustment's shapes, their variances widened by what they leave of the edgels."""
     views, tracks, chosen, sections = found.views, found.tracks, found.chosen, found.sections
-    out = _nothing(tracks)
+    out = nothing(tracks)
     if sections is None or found.shapes is None or found.adjustment is None:
         return out
     shape, reference = found.shapes, tracks.reference
@@ -281,20 +290,3 @@ def _contact(
     covariance = np.swapaxes(sections.frame, 1, 2) @ covariance @ sections.frame
     covariance[~shape.valid] = np.inf
     return position, covariance
-
-
-def _nothing(tracks: Tracks) -> Estimate:
-    """An estimate without a valid point."""
-    n = len(tracks.seen)
-    unknown = np.full(n, np.inf)
-    return Estimate(
-        np.zeros(n),
-        unknown,
-        np.full(n, np.nan),
-        unknown.copy(),
-        np.full(n, -1),
-        np.zeros((n, 3)),
-        np.full((n, 3, 3), np.inf),
-        np.zeros_like(tracks.seen),
-        np.zeros(n, bool),
-    )

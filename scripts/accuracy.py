@@ -13,6 +13,7 @@ from extremal.estimator import InvalidInput
 from extremal.scenes import load_scene
 from extremal.scripts.discrimination_study import discrimination_study, limit_table
 from extremal.scripts.edge_study import edge_study, edge_table
+from extremal.scripts.egomotion_study import egomotion_study, egomotion_table
 from extremal.scripts.general_study import general_study, general_table
 from extremal.scripts.joint_study import joint_study, study_table
 from extremal.scripts.look_study import look_study, look_table, ray_accuracy, ray_table
@@ -20,7 +21,7 @@ from extremal.scripts.output import output_folder
 from extremal.scripts.rendered_study import rendered_study, rendered_table
 from extremal.scripts.spatial_study import spatial_study
 
-Study = Literal["rays", "looks", "edges", "planar", "space", "rendered", "general", "limits"]
+Study = Literal["rays", "looks", "edges", "planar", "space", "rendered", "general", "limits", "egomotion"]
 EDGE_FRAMES = 5  # more change nothing
 POINTS = 10  # of an object, in the study of general motion
 
@@ -31,7 +32,8 @@ class AccuracySettings:
 
     rays: circles from exact rays. looks: rendered frames, exact poses. edges: localisation alone. planar, space: joint
     estimation with pose errors of 1 mm and 1 mrad against other methods and the Cramer-Rao bound. rendered: the same on
-    rendered frames. general: general motion to second order. limits: the smallest R told from a fixed feature.
+    rendered frames. general: general motion to second order. limits: the smallest R told from a fixed feature. egomotion: what
+    renderer, edges, intrinsics and poses of three arms cost.
     """
 
     studies: tuple[Study, ...] = get_args(Study)
@@ -39,7 +41,7 @@ class AccuracySettings:
     scene: str = "vase-and-box"
     """a preset's name, or a TOML file, of which random variations are looked at (looks)"""
     seeds: int = 20
-    """number of random vases (looks, rendered)"""
+    """number of random vases (looks, rendered, egomotion)"""
     trials: int = 1000
     """number of trials a row (planar, space, rendered, general, limits)"""
     out: Path = Path("out/accuracy")
@@ -97,7 +99,10 @@ def _run(study: Study, settings: AccuracySettings, progress: Callable[[int, int]
     elif study == "general":
         rows = general_study(max(1, trials // POINTS), POINTS)
         table = general_table(rows)
-    else:
+    elif study == "limits":
         rows = discrimination_study(trials)
         table = limit_table(rows)
+    else:
+        rows = egomotion_study(seeds, progress)
+        table = egomotion_table(rows)
     return [asdict(row) for row in rows], table

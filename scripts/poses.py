@@ -1,6 +1,6 @@
 """Where views were taken from, as one can know it: from the robot, from a board that it sees, or from both."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Literal
@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from extremal.estimator import DegenerateGeometry
 from extremal.estimator.board import Board
 from extremal.estimator.board_pose import BoardPose, board_pose
-from extremal.estimator.camera import View
+from extremal.estimator.camera import Array, Camera, View
 from extremal.estimator.corners import find_corners
 from extremal.estimator.egomotion import board_egomotion, fused_egomotion
 from extremal.estimator.poses import PosePrior, pose_log
@@ -42,29 +42,48 @@ def known_poses(
     """
     robot = rig.prior(recording.readings, recording.T_world_base)
     if placed is None:
-        return _with_poses(recording.views, robot), robot
-    seen = _board_poses(recording.views, placed.board, progress)
-    known = [pose for pose in seen if pose is not None]
+        return with_poses(recording.views, robot), robot
+    seen = board_poses(recording.views, placed.board, progress)
+    prior = prior_of(egomotion, robot, seen, placed.T_world_object, rig.believed_camera, rig.intrinsics_root)
+    return with_poses(without_board(recording.views, placed.board, seen), prior), prior
+
+
+def prior_of(
+    egomotion: Egomotion,
+    robot: PosePrior,
+    seen: Sequence[BoardPose | None],
+    T_world_board: RigidTransform,
+    camera: Camera,
+    intrinsics_root: Array,
+) -> PosePrior:
+    """What is known of poses (V): see `robot`, `board_egomotion` and `fused_egomotion`.
+
+    Args:
+        robot: its common errors are those of the columns of `intrinsics_root` (9, C).
+    """
+    if egomotion == "robot":
+        return robot
     if egomotion == "board":
-        prior = board_egomotion(seen, placed.T_world_object, rig.believed_camera, rig.intrinsics_root)
-    else:
-        board = (
-            board_egomotion(known, RigidTransform.identity(), rig.believed_camera, rig.intrinsics_root)
-            if known
-            else PosePrior(robot.T_world_camera[:0], robot.root[:0])
-        )
-        prior = fused_egomotion(robot, seen, board, shared=robot.common.shape[2])
-    # the board's corners are used up: its contours would say the same again
-    views = [
-        replace(view, ignored=_outline(view, placed.board, pose) if pose else None)
-        for view, pose in zip(_with_poses(recording.views, prior), seen, strict=True)
+        return board_egomotion(seen, T_world_board, camera, intrinsics_root)
+    known = [pose for pose in seen if pose is not None]
+    # where the board stands in the robot's world is not known
+    board = board_egomotion(known, RigidTransform.identity(), camera, intrinsics_root) if known else None
+    return fused_egomotion(robot, seen, board, shared=robot.common.shape[2])
+
+
+def without_board(views: Sequence[View], board: Board, seen: Sequence[BoardPose | None]) -> list[View]:
+    """Views that ignore the board where they look for contours: its corners are used up, and would say the same again."""
+    return [
+        replace(view, ignored=_outline(view, board, pose) if pose else None)
+        for view, pose in zip(views, seen, strict=True)
     ]
-    return views, prior
 
 
-def _board_poses(
-    views: tuple[View, ...], board: Board, progress: Callable[[int, int], None] | None
+def board_poses(
+    views: Sequence[View], board: Board, progress: Callable[[int, int], None] | None = None
 ) -> list[BoardPose | None]:
+    """Poses of the views (V) before the board, None where it is not seen well enough."""
+
     def find(view: View) -> BoardPose | None:
         try:
             return board_pose(view.camera, board, find_corners(view.image, view.camera, board))
@@ -80,7 +99,7 @@ def _board_poses(
     return found
 
 
-def _with_poses(views: tuple[View, ...], prior: PosePrior) -> list[View]:
+def with_poses(views: Sequence[View], prior: PosePrior) -> list[View]:
     """Views that state the prior's poses, and all that is uncertain of each, common errors included."""
     covariance = prior.covariance
     return [

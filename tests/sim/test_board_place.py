@@ -34,5 +34,5 @@ def test_no_room_is_said() -> None:
     middle = poses[len(poses) // 2].translation
     pose = RigidTransform.from_translation((np.asarray(scene.target) + middle) / 2 - [0, 0, 0.2])
     wall = Box((0.5, 0.9, 0.3), name="wall", T_world_object=pose)
-    with pytest.raises(InvalidInput, match="no room for a board.*accepted:.*--egomotion robot"):
+    with pytest.raises(InvalidInput, match=r"no room for a board.*accepted:.*--egomotion robot"):
         board_in_view(replace(scene, objects=(*scene.objects, wall)), Camera(), poses)

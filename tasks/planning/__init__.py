@@ -1,0 +1,1 @@
+"""Planners: from beliefs about what was seen to motions, without ground truth."""

@@ -106,6 +106,12 @@ class Surface(ABC):
         n, S = self._frame(self._local(points))
         return n @ self._rotation.T, self._rotation @ S @ self._rotation.T
 
+    @property
+    def bounding_sphere(self) -> tuple[Array, float]:
+        """Centre (3,) and radius [m] of a sphere that holds the object."""
+        centre, radius = self._bounds
+        return self._world(centre), radius
+
     # Differential geometry.
 
     def normals(self, points: ArrayLike) -> Array:

@@ -106,7 +106,8 @@ def calibrate(settings: CalibrateSettings) -> None:
                 _keep(settings.frames, recording)
         save_calibration(fit.calibration, folder / settings.out.name)
         draw_calibration(fit, folder / "calibration.png")
-    console.print(_table(fit, errors))
+    console.print(_table(fit))
+    console.print(_summary(fit, errors))
     beside = "calibration.png" + (" and calibration.json" if errors else "")
     console.print(f"wrote {settings.out}, {beside} beside it")
 
@@ -213,7 +214,7 @@ def calibration_errors(fit: CalibrationFit, truth: Truth) -> dict[str, float]:
     }
 
 
-def _table(fit: CalibrationFit, errors: dict[str, float] | None) -> Table:
+def _table(fit: CalibrationFit) -> Table:
     found = fit.calibration
     sigma = found.sigma
     table = Table(title=f"calibration from {found.views} views", box=SIMPLE)
@@ -231,11 +232,18 @@ def _table(fit: CalibrationFit, errors: dict[str, float] | None) -> Table:
             f"{1e3 * value:.3f}",
             f"{1e3 * sigma[name]:.3f}",
         )
-    table.caption = f"corners: {found.rms:.3f} px rms"
+    return table
+
+
+def _summary(fit: CalibrationFit, errors: dict[str, float] | None) -> str:
+    found, left_out = fit.calibration, int(fit.blunders.sum())
+    text = f"corners: {found.rms:.3f} px rms"
+    if left_out:
+        text += f"; {left_out} of {len(fit.blunders)} views left out: robot or board off by more than can be"
     if errors:
-        table.caption += (
+        text += (
             f"; against truth: hand-eye {1e3 * errors['hand_eye_translation_error_m']:.3f} mm, "
             f"{1e3 * errors['hand_eye_rotation_error_rad']:.3f} mrad; focal length {100 * errors['focal_error_fraction']:.4f} %; "
             f"{100 * errors['coverage_95']:.1f} % within 1.96 sigma"
         )
-    return table
+    return text

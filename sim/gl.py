@@ -28,6 +28,7 @@ BUNDLED = "EXTREMAL_OSMESA"  # environment variable: the wheel's library, in chi
 _CONTEXT_MODULES = ("mujoco", "mujoco.gl_context", "mujoco.rendering.classic.gl_context")
 _lock = threading.Lock()
 _selected: list["Backend"] = []
+_forked: list[bool] = []  # not empty in a child of a process that has chosen
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,14 @@ class Backend:
     failed: tuple[tuple[str, str], ...] = ()
 
 
+def _note_fork() -> None:
+    if _selected:
+        _forked.append(True)
+
+
+os.register_at_fork(after_in_child=_note_fork)
+
+
 def select_backend(preferred: str | None = None) -> Backend:
     """Find a working OpenGL and make MuJoCo use it; call before the first renderer is made.
 
@@ -47,8 +56,12 @@ def select_backend(preferred: str | None = None) -> Backend:
     choice through the environment.
 
     Raises RenderingError (one line: what was tried, what to install) if nothing works, if a name is not one of
-    egl, osmesa, glfw, or if another backend is in use already.
+    egl, osmesa, glfw, or if another backend is in use already; and in a process that was forked from one that renders.
     """
+    if _forked:  # it would wait for ever
+        raise RenderingError(
+            'this process was forked from one that renders; accepted: spawned ones, e.g. AsyncVectorEnv(..., context="spawn")'
+        )
     with _lock:
         wanted = _wanted(preferred)
         if not _selected:

@@ -70,7 +70,9 @@ class Window:
 
     def distort(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
         """The sensor's fine image, with margin, from the rendered one; rows of both start at the bottom."""
-        return map_coordinates(image, self._maps[::-1], np.float32, order=3, mode="nearest")
+        return np.asarray(
+            map_coordinates(image, self._maps[::-1], np.float32, order=3, mode="nearest"), np.float32
+        )
 
     @cached_property
     def _maps(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

@@ -9,11 +9,12 @@ from extremal.estimator import Camera
 from extremal.estimator.board import Board
 from extremal.estimator.calibrate import CalibrationFit, calibrate
 from extremal.estimator.calibration import HAND_EYE
-from extremal.estimator.calibration_equations import ARM, FlangeModel, Sightings, State, linearise
+from extremal.estimator.calibration_equations import ARM, Sightings, State, linearise
 from extremal.estimator.corners import Corners
 from extremal.estimator.poses import pose_exp, pose_log
 from extremal.estimator.projection import INTRINSICS, intrinsics, turning
 from extremal.sim import NOMINAL, ArmKinematics
+from extremal.sim.arm_errors import FlangeKinematics
 from extremal.sim.board_motion import BoardMotion
 from extremal.sim.board_place import upright_board
 from extremal.sim.rig import Rig
@@ -22,7 +23,7 @@ BOARD, SIGMA, BORDER = Board(), 0.005, 8.0  # [px] of corners; [px] at the image
 TARGET = np.array([0.0, 0.0, 0.25])
 
 
-def seen(rig: Rig, views: int, seed: int) -> tuple[list[Corners], FlangeModel, RigidTransform]:
+def seen(rig: Rig, views: int, seed: int) -> tuple[list[Corners], FlangeKinematics, RigidTransform]:
     """Corners and flange poses of a rig, and T_board_camera (V): errors are drawn by the laws that are stated."""
     rng = np.random.default_rng([seed, 7])
     motion = BoardMotion(views=views)

@@ -13,9 +13,11 @@ from extremal.sim import NOMINAL, ArmGeometry, ArmKinematics, UnreachablePose, f
 from extremal.sim.arm import CUP_LENGTH, JOINT_LIMITS
 
 # Beside a table with the target at the world's origin. As in `sim.kinematics` joints 2, 3 and 4 turn about the vertical,
-# but turned over: the forearm is carried above the hand, clear of the table. Found by trying bases on a grid: the arm grasps at
-# 0.1 m height from azimuths of 135 to 270 degrees (R = 25 to 80 mm), lifts, and looks around from 0.4 to 0.5 m.
-T_TABLE_BASE = RigidTransform.from_components([-0.7, 0.1, 0.3], Rotation.from_rotvec([np.pi / 2, 0, 0]))
+# but turned over: the forearm is carried above the hand, clear of the table. Found by trying bases on a grid, clear of the table
+# by 5 mm: the arm grasps at 0.1 m height from azimuths of 140 to 310 degrees (R = 25 to 80 mm), lifts, and at 0.2 m height looks from
+# azimuths of 98 to 140 degrees, 0.35 to 0.45 m away. Seen from 120 degrees the right contour generator is at about 200, and 45 to
+# 90 degrees beyond it is where the arm grasps best.
+T_TABLE_BASE = RigidTransform.from_components([-0.5, 0.2, 0.4], Rotation.from_rotvec([np.pi / 2, 0, 0]))
 T_FLANGE_CUP = RigidTransform.from_translation([0.0, 0.0, CUP_LENGTH])
 STEP = 2e-3  # of the simulation [s]
 SPACING, TURN = 0.005, 0.02  # between poses of a straight path [m], [rad]
@@ -135,10 +137,12 @@ class CupKinematics:
         """
         q = np.asarray(start, float)
         path = [q]
-        for target in _line(self.cup_poses(q[None])[0], T_world_cup):
-            reached = self._newton(q, target)
+        line = _line(self.cup_poses(q[None])[0], T_world_cup)
+        flanges = (self.T_world_base.inv() * line * T_FLANGE_CUP.inv()).as_matrix()
+        for cup, flange in zip(line.translation, flanges, strict=True):
+            reached = self._newton(q, flange)
             if reached is None or np.max(np.abs(reached - q)) > JUMP:
-                place = np.round(target[:3, 3], 3).tolist()
+                place = np.round(cup, 3).tolist()
                 raise UnreachablePose(
                     f"the arm can't bring its cup straight to {place} [m]; accepted: lines within its reach and its limits, "
                     "away from singularities"
@@ -147,12 +151,15 @@ class CupKinematics:
             path.append(q)
         return np.array(path)
 
-    def _newton(self, q: Array, target: Array) -> Array | None:
-        """Joint positions (6,) near q at which the cup is at `target` (4, 4); None where there are none."""
-        T_base_flange = (self.T_world_base.inv() * RigidTransform.from_matrix(target)) * T_FLANGE_CUP.inv()
+    def _newton(self, q: Array, T_base_flange: Array) -> Array | None:
+        """Joint positions (6,) near q at which the flange is at a pose (4, 4); None where there are none."""
         for _ in range(8):
-            error = (self.believed.flange_poses(q[None])[0].inv() * T_base_flange).as_exp_coords()
-            twist = np.concatenate([error[3:], error[:3]])
+            frame = self.believed.flange_poses(q[None]).as_matrix()[0]
+            R = frame[:3, :3]
+            turned = R.T @ T_base_flange[:3, :3]
+            # To first order the logarithm of the pose that is still missing.
+            rotation = (turned - turned.T)[[2, 0, 1], [1, 2, 0]] / 2
+            twist = np.concatenate([(T_base_flange[:3, 3] - frame[:3, 3]) @ R, rotation])
             if np.max(np.abs(twist)) < RESIDUAL:
                 inside = np.all((q >= JOINT_LIMITS[:, 0]) & (q <= JOINT_LIMITS[:, 1]))
                 return q if inside else None
@@ -167,11 +174,11 @@ class CupKinematics:
         return None
 
 
-def _line(start: RigidTransform, end: RigidTransform) -> Array:
-    """Poses (K, 4, 4) after `start` on the straight line to `end`."""
+def _line(start: RigidTransform, end: RigidTransform) -> RigidTransform:
+    """Poses (K) after `start` on the straight line to `end`."""
     length = np.linalg.norm(end.translation - start.translation)
     angle = (start.rotation.inv() * end.rotation).magnitude()
     s = np.linspace(0, 1, int(np.ceil(max(length / SPACING, angle / TURN, 1))) + 1)[1:]
     rotations = Slerp([0, 1], Rotation.concatenate([start.rotation, end.rotation]))(s)
     centres = start.translation + s[:, None] * (end.translation - start.translation)
-    return RigidTransform.from_components(centres, rotations).as_matrix()
+    return RigidTransform.from_components(centres, rotations)

@@ -1,0 +1,97 @@
+"""Answers about a contour: what it is, how curved, where; and how good an answer is."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from extremal.estimator.camera import Array
+from extremal.estimator.errors import InvalidInput
+from extremal.tasks.inspect_setup import InspectTruth
+
+LARGEST = 0.1  # [m] radii are taken to be anywhere from 0 to this, before anything is seen
+WORTHLESS = 0.02  # [m] of the score of R at which an answer is worth nothing
+RIGHT, RIGHT_SHARE, RIGHT_PLACE = 0.002, 0.1, 0.01  # [m], of R, [m]: errors of an answer that is called right
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What is believed of a contour.
+
+    Attributes:
+        extremal: probability that it is an extremal boundary.
+        radius, sigma: normal belief of its radius of curvature [m], if it is one.
+        point: (3,) contact point [m].
+    """
+
+    extremal: float
+    radius: float
+    sigma: float
+    point: Array
+
+    def __post_init__(self) -> None:
+        values = [self.extremal, self.radius, self.sigma, *np.ravel(self.point)]
+        if (
+            len(values) != 6
+            or not np.all(np.isfinite(values))
+            or not 0 <= self.extremal <= 1
+            or not self.sigma > 0
+        ):
+            raise InvalidInput(
+                f"an answer is {values}; accepted: a probability, a radius, a positive sigma and a point, all finite"
+            )
+
+
+def probability_extremal(radius: float, sigma: float) -> float:
+    """That a contour of measured R +- sigma [m] is an extremal boundary: of any radius up to LARGEST, as likely as a fixed one."""
+    boundary = (norm.cdf((LARGEST - radius) / sigma) - norm.cdf(-radius / sigma)) / LARGEST
+    fixed = norm.pdf(radius / sigma) / sigma
+    return float(boundary / (boundary + fixed)) if boundary + fixed > 0 else 0.5
+
+
+def contact_from(eye: Array, point: Array, normal: Array, radius: float) -> Array:
+    """Contact point (3,) [m] of the osculating circle at `point` with the ray from another place: the contour generator slides
+    over the surface as the eye moves. A fixed feature (radius 0) stays."""
+    centre = point - radius * normal
+    away = centre - eye
+    distance = float(np.linalg.norm(away))
+    along = away / distance
+    across = normal - (normal @ along) * along
+    share = radius / distance
+    if not abs(share) < 1 or not np.linalg.norm(across) > 1e-9:
+        return point
+    turned = -share * along + np.sqrt(1 - share**2) * across / np.linalg.norm(across)
+    return centre + radius * turned
+
+
+def crps(mean: float, sigma: float, value: float) -> float:
+    """Continuous ranked probability score [m] of a normal belief (Gneiting and Raftery 2007): proper, 0 at best."""
+    z = (value - mean) / sigma
+    return float(sigma * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / np.sqrt(np.pi)))
+
+
+def quality(answer: Answer, truth: InspectTruth) -> float:
+    """In [0, 1], greatest in expectation for whoever says what he believes: Brier's score of the label, and of an extremal
+    boundary as much again for R."""
+    label = 1 - (answer.extremal - float(not truth.is_fixed)) ** 2
+    if truth.is_fixed:
+        return label
+    return 0.5 * label + 0.5 * max(0.0, 1 - crps(answer.radius, answer.sigma, truth.radius) / WORTHLESS)
+
+
+def negative_log_likelihood(answer: Answer, truth: InspectTruth) -> float:
+    """Of label and, for an extremal boundary, of R per millimetre: over-confidence costs without limit."""
+    right = answer.extremal if not truth.is_fixed else 1 - answer.extremal
+    loss = -np.log(max(right, 1e-12))
+    if not truth.is_fixed:
+        loss -= norm.logpdf(1e3 * truth.radius, 1e3 * answer.radius, 1e3 * answer.sigma)
+    return float(loss)
+
+
+def is_right(answer: Answer, truth: InspectTruth) -> bool:
+    """Label, contact point within RIGHT_PLACE and, of an extremal boundary, R within RIGHT or RIGHT_SHARE of it."""
+    label = (answer.extremal > 0.5) == (not truth.is_fixed)
+    place = float(np.linalg.norm(answer.point - truth.point)) <= RIGHT_PLACE
+    if truth.is_fixed:
+        return label and place
+    return label and place and abs(answer.radius - truth.radius) <= max(RIGHT, RIGHT_SHARE * truth.radius)

@@ -1,0 +1,216 @@
+"""How well a policy does: episodes of the test seeds, each by itself and kept as soon as it has ended, and their summary."""
+
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Callable, Iterable
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from extremal.estimator.errors import ExtremalError, InvalidInput
+from extremal.sim.arm_errors import ARMS
+from extremal.tasks import ENVIRONMENTS
+from extremal.tasks.metrics import bootstrap_interval, normalised_score, wilson_interval
+from extremal.tasks.policies.baselines import ARGUMENTS, BASELINES
+from extremal.tasks.policies.policy import load_policy
+from extremal.tasks.sensors import SENSORS
+from extremal.tasks.tiers import TEST_SEEDS, get_tier
+
+NOT_METRICS = ("is_success",)
+
+
+class WorkerDied(ExtremalError, RuntimeError):
+    """A process that ran episodes died."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What is evaluated. Two that are equal give the same numbers.
+
+    Attributes:
+        env: "Inspect", "Navigate" or "Grasp". policy: a baseline's name, or module:Class.
+        episodes: number; episode i has the seed `TEST_SEEDS[seed + i]`.
+        sensor, tier, arm: see `ActiveVisionEnv`.
+
+    Raises InvalidInput for an unknown name, and for more episodes than there are test seeds.
+    """
+
+    env: str
+    policy: str
+    episodes: int
+    sensor: str = "geometric"
+    tier: str = "standard-v0"
+    arm: str | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        names = [name.split("/")[1].split("-")[0] for name in ENVIRONMENTS]
+        for key, accepted in (("env", names), ("sensor", SENSORS), ("arm", (None, *ARMS))):
+            if getattr(self, key) not in accepted:
+                raise InvalidInput(
+                    f"{key} is {getattr(self, key)!r}; accepted: {', '.join(str(a) for a in accepted if a)}"
+                )
+        get_tier(self.tier)
+        load_policy(self.policy, BASELINES[self.env])
+        if self.episodes < 1 or self.seed < 0 or self.seed + self.episodes > len(TEST_SEEDS):
+            raise InvalidInput(
+                f"episodes {self.seed} to {self.seed + self.episodes - 1} are asked for; accepted: 0 to {len(TEST_SEEDS) - 1}"
+            )
+
+    @property
+    def key(self) -> str:
+        """Of everything that an episode's result depends on, but its number."""
+        values = {k: v for k, v in asdict(self).items() if k not in ("episodes", "seed")}
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()[:12]
+
+    @property
+    def seeds(self) -> range:
+        return TEST_SEEDS[self.seed : self.seed + self.episodes]
+
+
+def run_episode(evaluation: Evaluation, seed: int) -> dict[str, float]:
+    """The last `info` of an episode, its steps and the sum of its rewards."""
+    env = gym.make(
+        f"extremal.tasks:extremal/{evaluation.env}-v0",
+        sensor=evaluation.sensor,
+        tier=evaluation.tier,
+        arm=evaluation.arm,
+        **ARGUMENTS.get(evaluation.env, {}),
+    )
+    try:
+        policy = load_policy(evaluation.policy, BASELINES[evaluation.env])
+        observation, info = env.reset(seed=seed)
+        policy.reset(env, np.random.default_rng([seed, 3]))
+        total, ended = 0.0, False
+        while not ended:
+            observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+            total, ended = total + float(reward), terminated or truncated
+        return {name: float(value) for name, value in info.items()} | {"return": total}
+    finally:
+        env.close()
+
+
+def run_evaluation(
+    evaluation: Evaluation,
+    folder: Path,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> dict[str, Any]:
+    """Run what is missing of the episodes, and summarise all. Results are the same for any number of workers.
+
+    Args:
+        folder: where each episode's result is kept, and found again when the evaluation is started anew.
+        workers: processes (spawned); 1: this one.
+
+    Raises:
+        WorkerDied: a process was killed; what has ended is kept.
+    """
+    kept = folder / "episodes"
+    kept.mkdir(parents=True, exist_ok=True)
+    paths = {seed: kept / f"{evaluation.key}-{seed}.json" for seed in evaluation.seeds}
+    missing = [seed for seed, path in paths.items() if not path.exists()]
+    done = len(paths) - len(missing)
+    report = progress or (lambda done, total: None)
+    report(done, len(paths))
+    for seed, result in _results(evaluation, missing, workers):
+        write_json(paths[seed], result)
+        done += 1
+        report(done, len(paths))
+    return summary(evaluation, [json.loads(path.read_text()) for path in paths.values()])
+
+
+def _results(
+    evaluation: Evaluation, seeds: list[int], workers: int
+) -> Iterable[tuple[int, dict[str, float]]]:
+    if workers <= 1 or len(seeds) <= 1:
+        for seed in seeds:
+            yield seed, run_episode(evaluation, seed)
+        return
+    with ProcessPoolExecutor(min(workers, len(seeds)), mp_context=get_context("spawn")) as pool:
+        jobs = {pool.submit(run_episode, evaluation, seed): seed for seed in seeds}
+        try:
+            for job in as_completed(jobs):
+                yield jobs[job], job.result()
+        except BrokenProcessPool:
+            raise WorkerDied(
+                "a process that ran episodes died (killed, or out of memory); start again: what has ended is kept"
+            ) from None
+
+
+def summary(evaluation: Evaluation, results: list[dict[str, float]]) -> dict[str, Any]:
+    """What evaluation.json holds: success with its interval (Wilson), and medians and percentiles of everything else."""
+    successes = int(sum(result["is_success"] for result in results))
+    names = sorted({name for result in results for name in result} - {*NOT_METRICS})
+    return {
+        "env": evaluation.env,
+        "policy": evaluation.policy,
+        "episodes": len(results),
+        "success_rate": successes / len(results),
+        "success_ci95": list(wilson_interval(successes, len(results))),
+        "metrics": {name: _spread([result.get(name, np.nan) for result in results]) for name in names},
+        "sensor": evaluation.sensor,
+        "tier": evaluation.tier,
+        "arm": evaluation.arm,
+        "seed": evaluation.seed,
+    }
+
+
+def _spread(values: list[float]) -> dict[str, float | list[float] | None]:
+    """Of the values that are known (a path ratio is known on success only); null where none is."""
+    known = np.array(values, float)
+    known = known[np.isfinite(known)]
+    if len(known) == 0:
+        return {"median": None, "p05": None, "p95": None, "mean": None, "mean_ci95": None}
+    low, high = (
+        bootstrap_interval(known, np.random.default_rng(0)) if len(known) > 1 else (known[0], known[0])
+    )
+    p05, median, p95 = np.percentile(known, [5, 50, 95])
+    return {
+        "median": float(median),
+        "p05": float(p05),
+        "p95": float(p95),
+        "mean": float(known.mean()),
+        "mean_ci95": [float(low), float(high)],
+    }
+
+
+def leaderboard(path: Path, found: dict[str, Any]) -> list[dict[str, Any]]:
+    """The table of a file with one more evaluation in it, in place of an older one of the same.
+
+    `score` is (success - random) / (oracle - random) where both are in the table for the same setting.
+    """
+    rows = json.loads(path.read_text()) if path.exists() else []
+    same = ("env", "policy", "sensor", "tier", "arm")
+    rows = [row for row in rows if any(row[k] != found[k] for k in same)]
+    rows.append({k: found[k] for k in (*same, "episodes", "success_rate", "success_ci95")})
+    for row in rows:
+        rates = {
+            other["policy"]: other["success_rate"]
+            for other in rows
+            if all(other[k] == row[k] for k in same if k != "policy")
+        }
+        both = "random" in rates and "oracle" in rates and rates["oracle"] > rates["random"]
+        row["score"] = (
+            float(normalised_score(row["success_rate"], rates["random"], rates["oracle"])) if both else None
+        )
+    rows.sort(key=lambda row: (row["env"], row["tier"], row["sensor"], str(row["arm"]), -row["success_rate"]))
+    write_json(path, rows)
+    return rows
+
+
+def write_json(path: Path, content: Any) -> None:
+    """All of it or nothing, even when the process is killed."""
+    with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, suffix=".tmp") as file:
+        json.dump(content, file, indent=1)
+        file.flush()
+        os.fsync(file.fileno())
+    os.chmod(file.name, 0o644)
+    os.replace(file.name, path)

@@ -1,0 +1,66 @@
+"""Colour images of a scene, as a person or a policy sees them: no point-spread function, no noise."""
+
+from types import TracebackType
+from typing import Self
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from extremal.estimator.camera import Camera
+from extremal.estimator.errors import RenderingError
+from extremal.scenes import Scene
+from extremal.sim.axes import swap_camera_axes
+from extremal.sim.gl import select_backend
+from extremal.sim.rendering import EYE, NEAR, scene_model
+
+
+class Eye:
+    """Renders a scene (width x height px) from any pose with MuJoCo's own renderer; a context manager, of one thread.
+
+    Its field of view is the camera's along the narrower side.
+
+    Raises:
+        RenderingError: offscreen rendering is not available.
+    """
+
+    def __init__(self, scene: Scene, camera: Camera, width: int, height: int) -> None:
+        select_backend()
+        self._model = model = scene_model(scene.to_spec())
+        self._data = mujoco.MjData(model)
+        focal = max(width / camera.width * camera.fx, height / camera.height * camera.fy)
+        eye = model.camera(EYE).id
+        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
+        model.vis.map.znear = NEAR / model.stat.extent
+        model.cam_resolution[eye] = model.cam_sensorsize[eye] = width, height
+        model.cam_intrinsic[eye] = focal, focal, 0.0, 0.0
+        self.camera = Camera(
+            width, height, fx=focal, fy=focal, cx=(width - 1) / 2, cy=(height - 1) / 2, blur=camera.blur
+        )
+        try:
+            self._renderer = mujoco.Renderer(model, height, width)
+        except Exception as error:
+            raise RenderingError(f"no offscreen rendering of {width} x {height} px: {error}") from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def image(self, T_world_camera: RigidTransform) -> NDArray[np.uint8]:
+        """(height, width, 3) RGB."""
+        eye = swap_camera_axes(T_world_camera)
+        self._data.mocap_pos[0] = eye.translation
+        self._data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
+        mujoco.mj_kinematics(self._model, self._data)
+        mujoco.mj_camlight(self._model, self._data)
+        self._renderer.update_scene(self._data, EYE)
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()

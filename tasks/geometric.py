@@ -1,0 +1,205 @@
+"""A sensor without images: exact apparent contours of the scene, with the errors that edges have in rendered frames."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+from threadpoolctl import ThreadpoolController
+
+from extremal.estimator.camera import Array, Camera
+from extremal.estimator.errors import InvalidInput
+from extremal.estimator.sequential import ROUGH
+from extremal.scenes import Scene
+from extremal.tasks.contacts import Contacts, EdgeGeometry
+from extremal.tasks.edge_choice import choose
+from extremal.tasks.edge_model import EdgeModel
+from extremal.tasks.features import Features
+from extremal.tasks.section_tracks import SectionTracks
+from extremal.tasks.track_sets import (
+    FIRST_LOOKS,
+    SPACING,
+    PoseRoots,
+    TrackSets,
+    checked_pose,
+    checked_spacing,
+    first_baseline,
+    travel_of,
+)
+
+OCCLUSION_TURNS = 3  # looks in which what hides tracks is looked at for all of them, a part in each
+
+
+class GeometricSensor:
+    """Follows the scene's contours with errors of edges from a model; see `track_sets` for the rules."""
+
+    def __init__(self, edge_model: EdgeModel | None = None, spacing: float = SPACING) -> None:
+        self._model, self._spacing = edge_model or EdgeModel(), checked_spacing(spacing)
+        self._sets: TrackSets[_Look] | None = None
+        self._roots, self._threads = PoseRoots(), ThreadpoolController()
+
+    def reset(self, scene: Scene, camera: Camera, rng: np.random.Generator) -> None:
+        """See `FeatureSensor`; raises SceneError for a scene with a mesh."""
+        geometry = EdgeGeometry(scene)
+        self._roots = PoseRoots()
+        self._sets = TrackSets(lambda: _Tracks(geometry, camera, self._model, rng), self._spacing)
+
+    def look(
+        self, T_world_camera: RigidTransform, T_world_camera_believed: RigidTransform, pose_covariance: Array
+    ) -> Features:
+        """See `FeatureSensor`."""
+        if self._sets is None:
+            raise InvalidInput("a sensor looks at nothing before `reset`")
+        actual, believed = checked_pose(T_world_camera), checked_pose(T_world_camera_believed)
+        if not self._sets.is_new(believed[:3, 3]):
+            return self._sets.features
+        root = self._roots.of(pose_covariance)
+        look = _Look(actual, believed, root, first_baseline(pose_covariance))
+        with self._threads.limit(limits=1, user_api="blas"):
+            return self._sets.take_in(look, look.believed[:3, 3])
+
+    @property
+    def frame(self) -> NDArray[np.uint8] | None:
+        """None: there is no image."""
+        return None
+
+    def close(self) -> None:
+        """Forget the scene."""
+        self._sets = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """Poses as matrices (4, 4), the root (6, K) of the believed one's covariance, and the way [m] after which tracks start."""
+
+    actual: Array
+    believed: Array
+    root: Array
+    baseline: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """Tangent planes (n, 3) in the camera frame, sigma (n,) [rad] infinite where unseen, pixels (n, 2)."""
+
+    normals: Array
+    sigma: Array
+    pixels: Array
+
+
+class _Tracks:
+    """One set of tracks."""
+
+    def __init__(
+        self, geometry: EdgeGeometry, camera: Camera, model: EdgeModel, rng: np.random.Generator
+    ) -> None:
+        self._geometry, self._camera, self._model, self._rng = geometry, camera, model, rng
+        self._waiting: list[_Look] = []
+        self._looks = 0
+        self.started = False
+
+    def take_in(self, look: _Look) -> None:
+        if self.started:
+            self._absorb(look, self._measured(look))
+            return
+        self._waiting.append(look)
+        centres = np.array([w.believed[:3, 3] for w in self._waiting])
+        far = np.linalg.norm(centres - centres[0], axis=1).max() >= look.baseline
+        if len(centres) >= FIRST_LOOKS and far:
+            self._begin(travel_of(centres))
+        elif len(centres) > 2 * FIRST_LOOKS:
+            self._waiting = self._waiting[::2]
+
+    def _begin(self, travel: Array) -> None:
+        """Choose tracks in the middle look, and take all in that wait."""
+        looks, middle = self._waiting, len(self._waiting) // 2
+        at = looks[middle]
+        turned = at.believed[:3, :3] @ at.actual[:3, :3].T
+        contacts, contour = choose(
+            self._geometry, self._camera, at.actual[:3, :3], at.actual[:3, 3], travel @ turned
+        )
+        n = len(contacts)
+        away = (contacts.points - at.actual[:3, 3]) @ turned.T
+        distance = np.linalg.norm(away, axis=1)
+        ray = away / distance[:, None]
+        self._travel, self._start = travel, at.believed[:3, 3]
+        self._plane = _unit(np.cross(travel, ray))
+        first = np.cross(ray, self._plane)
+        first *= np.where(first @ travel < 0, -1.0, 1.0)[:, None]
+        frame = np.stack([first, ray, np.cross(first, ray)], axis=1)
+        origin = self._start + away * (1 + ROUGH * self._rng.standard_normal((n, 1)))
+        self._sections = SectionTracks(
+            origin, frame, contour, distance, self._camera.fx, self._model, noisy_slant=False
+        )
+        self._bias, self._hidden, self._line = self._model.first_bias(n, self._rng), np.zeros(n, bool), None
+        self._pixels = np.full((n, 2), np.nan)
+        self._measure_all(contacts, looks, middle)
+        self.started, self._waiting = True, []
+
+    def _measure_all(self, contacts: Contacts, looks: list[_Look], middle: int) -> None:
+        """Contacts move with the camera from the middle look to the first and on to the last."""
+        self._contacts = contacts
+        for look in looks[middle::-1]:
+            self._move(look)
+        for look in looks:
+            self._absorb(look, self._measured(look))
+
+    def _move(self, look: _Look) -> None:
+        """Contacts with the epipolar planes as the robot believes them to lie: off the planes of a camera that left its line,
+        where a point at the contact's distance would lie in them."""
+        c = look.actual[:3, 3]
+        height = self._plane @ (look.believed[:3, 3]) - self._plane @ self._start
+        ray = self._contacts.points - c
+        square = np.einsum("ni,ni->n", ray, ray)
+        turned = look.actual[:3, :3] @ look.believed[:3, :3].T
+        planes = self._plane @ turned.T + (height / square)[:, None] * ray
+        self._contacts = self._geometry.advance(self._contacts, c, planes)
+
+    def _measured(self, look: _Look) -> _Seen:
+        self._move(look)
+        contacts, camera = self._contacts, self._camera
+        away = contacts.points - look.actual[:3, 3]
+        in_camera, normals = away @ look.actual[:3, :3], contacts.normals @ look.actual[:3, :3]
+        pixels = camera.project(in_camera)
+        ray = _unit(in_camera)
+        self._update_hidden(look.actual[:3, 3])
+        across = np.cross(ray, self._plane @ look.believed[:3, :3])
+        across *= np.where(across @ (self._travel @ look.believed[:3, :3]) < 0, -1.0, 1.0)[:, None]
+        tilt = np.einsum("ni,ni->n", normals, _unit(across))
+        normals = normals * np.where(tilt < 0, -1.0, 1.0)[:, None]
+        error, found = self._errors(ray @ look.believed[:3, :3].T)
+        across_px = normals[:, :2] / (camera.fx, camera.fy)
+        slope = np.maximum(np.sqrt(np.einsum("ni,ni->n", across_px, across_px)), 1e-9)
+        per_px = slope * ray[:, 2]  # [rad] of the plane about the centre
+        high = np.array([camera.width, camera.height]) - 0.5
+        ok = contacts.there & ~self._hidden & found & (ray[:, 2] > 0)
+        ok &= np.all((pixels >= -0.5) & (pixels <= high), axis=1)
+        sigma = np.where(ok, self._model.sigma_px * per_px, np.inf)
+        normals = _unit(normals + (error * per_px)[:, None] * ray)
+        return _Seen(normals, sigma, pixels - (error / slope)[:, None] * across_px)
+
+    def _errors(self, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Errors (n,) [px] of edges seen along rays (n, 3), and which are found."""
+        middle = rays.mean(axis=0) if len(rays) else np.ones(3)
+        middle = middle / np.linalg.norm(middle)
+        if self._line is not None:
+            turn = float(np.arccos(np.clip(middle @ self._line, -1, 1)))
+            self._bias = self._model.next_bias(self._bias, turn, self._rng)
+        self._line = middle
+        return self._model.draw(self._bias, self._rng)
+
+    def _update_hidden(self, centre: Array) -> None:
+        rows = slice(self._looks % OCCLUSION_TURNS, None, OCCLUSION_TURNS)
+        self._hidden[rows] = self._geometry.hidden(centre, self._contacts.points[rows])
+
+    def _absorb(self, look: _Look, seen: _Seen) -> None:
+        ok = self._sections.take_in(look.believed, look.root, seen.normals, seen.sigma)
+        self._looks += 1
+        self._pixels = np.where(ok[:, None] | np.isnan(self._pixels), seen.pixels, self._pixels)
+
+    def features(self) -> Features:
+        return self._sections.features(self._pixels)
+
+
+def _unit(vectors: Array) -> Array:
+    return vectors / np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None]

@@ -1,0 +1,174 @@
+"""Baselines of Grasp: a sweep past the vase, then the grasp that is likeliest to seal by what is believed of it."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from extremal.estimator.camera import Array
+from extremal.estimator.errors import InvalidInput
+from extremal.tasks.grasp_motion import T_TABLE_BASE, CupKinematics
+from extremal.tasks.planning.belief import ArcBelief
+from extremal.tasks.planning.grasp import NoGrasp, plan_grasp
+from extremal.tasks.policies.navigation import best, by_parallax, pose_of, steered
+from extremal.tasks.policies.policy import Policy, RandomPolicy
+from extremal.tasks.spaces import POSE_TURN, REACH, SPEED, SeenFeatures
+
+AHEAD = 0.35  # [m] of the vase, at the start
+SWEEP, SPEEDING = 0.16, 0.6  # [m] of the path; share of the largest speed
+NEAR_LEVEL, LEAST_LOOKS = 0.05, 5  # [m] of the grasp's height, within which contours count
+WORST = 0.03  # [m] sigma of R beyond which it says nothing
+MOST = 10  # beliefs that are passed on
+STEEPEST, LARGEST = 10.0, 0.12  # [1/m] of half a meridian's curvature; [m] of a radius: at most
+MEAN_RADIUS, SPREAD = 0.05, 0.015  # [m] of vases
+SURE = 1e-4  # [m] sigma of those who take their R for certain
+HEIGHTS = 0.025  # [m] to either side of the level, in which the grasp may be
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Grasper:
+    """Looks from all along a sweep, then grasps.
+
+    Args:
+        radius: (radius, sigma) [m] of (n,) rows: what is taken for the section's.
+    """
+
+    def __init__(self, radius: Callable[[SeenFeatures], tuple[Array, Array]]) -> None:
+        self._radius = radius
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        self._start, self._arm = None, CupKinematics(T_TABLE_BASE)
+
+    def act(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
+        pose = pose_of(observation)
+        if self._start is None:
+            self._start = pose
+        swept = float(np.linalg.norm(pose.translation - self._start.translation))
+        if swept >= SWEEP:
+            return self._grasp(observation)
+        # around the vase: to the camera's right, from where it is
+        velocity = SPEEDING * SPEED * pose.rotation.apply([1.0, 0.0, 0.0])
+        motion = steered(pose, velocity, self._start.apply([0.0, 0.0, AHEAD]))
+        return np.concatenate([motion, [-1.0], np.zeros(6)])
+
+    def _grasp(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
+        beliefs, seen_from = self._beliefs(observation), pose_of(observation).translation
+        return grasp_at(self._arm, beliefs, seen_from, observation)
+
+    def _beliefs(self, observation: Mapping[str, Any]) -> list[ArcBelief]:
+        """The contour generator on the right, near the grasp's height."""
+        seen, pose = SeenFeatures.of(dict(observation)), pose_of(observation)
+        radius, sigma = self._radius(seen)
+        right = seen.normal @ pose.rotation.apply([1.0, 0.0, 0.0])
+        level = float(observation["accepted"][2])
+        use = (seen.extremal > 0) & (seen.reference == 0) & (seen.looks >= LEAST_LOOKS) & (sigma < WORST)
+        use &= (right > 0.6) & (np.abs(seen.position[:, 2] - level) < NEAR_LEVEL) & (radius > 0.012)
+        use &= np.abs(seen.normal[:, 2]) < 0.5
+        rows = np.flatnonzero(use)
+        if len(rows) == 0:
+            return []
+        assert self._start is not None
+        around, spread = radius_around(
+            radius[rows], sigma[rows], seen.position[rows], seen.normal[rows], self._start.translation
+        )
+        middle = np.median(around)
+        good = (around > 0.01) & (np.abs(around - middle) < 0.5 * middle + 0.005)  # others stand elsewhere
+        near = np.argsort(np.abs(seen.position[rows, 2] - level))
+        return [
+            ArcBelief(
+                seen.position[rows[i]],
+                seen.normal[rows[i]],
+                UP,
+                float(around[i]),
+                float(spread[i]),
+                float(min(seen.sigma_position[rows[i]], 0.05)),
+            )
+            for i in near[good[near]][:MOST]
+        ]
+
+
+def radius_around(
+    radius: Array, sigma: Array, position: Array, normal: Array, eye: Array
+) -> tuple[Array, Array]:
+    """Radii (n,) of the level section and their sigma [m], from those of sections along slanting rays.
+
+    Along a unit ray d the curvature is that of the level section, weighted by what of d is level, and that of the meridian,
+    weighted by the rest (Euler). The meridian's comes from how far out the contour generator lies at different heights.
+    """
+    ray = position - eye
+    up = (ray[:, 2] / np.linalg.norm(ray, axis=1)) ** 2
+    out = np.mean(normal * [1.0, 1.0, 0.0], axis=0)
+    meridian = 0.0
+    if len(radius) >= 5 and np.ptp(position[:, 2]) > 0.02:
+        bend = np.polyfit(position[:, 2], position @ out / np.linalg.norm(out), 2)[0]
+        meridian = -2.0 * float(np.clip(bend, -STEEPEST, STEEPEST))
+    level = (1 / radius - up * meridian) / (1 - up)
+    around = 1 / np.maximum(level, 1 / LARGEST)
+    return around, sigma * (around / radius) ** 2 / (1 - up)
+
+
+class Knowing:
+    """The oracle: the contour generator as it is, at once."""
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        self._env, self._arm = env.unwrapped, CupKinematics(T_TABLE_BASE)
+
+    def act(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
+        setup, eye = self._env.setup, self._env.actual.translation  # pyright: ignore[reportAttributeAccessIssue]
+        right = self._env.actual.rotation.apply([1.0, 0.0, 0.0])  # pyright: ignore[reportAttributeAccessIssue]
+        beliefs = []
+        for curve in setup.vase.contour_generator(eye):
+            use = (curve.normals @ right > 0.3) & (np.abs(curve.points[:, 2] - setup.level) < NEAR_LEVEL)
+            rows = np.flatnonzero(use)[:: max(1, int(use.sum()) // MOST)]
+            radii = setup.vase.section_radius(curve.points[rows], np.tile(UP, (len(rows), 1)))
+            beliefs += [
+                ArcBelief(p, n, UP, float(r), SURE, SURE)
+                for p, n, r in zip(curve.points[rows], curve.normals[rows], radii, strict=True)
+            ]
+        return grasp_at(self._arm, beliefs, eye, observation)
+
+
+def grasp_at(
+    arm: CupKinematics, beliefs: list[ArcBelief], eye: Array, observation: Mapping[str, Any]
+) -> NDArray[np.floating]:
+    """The action that grasps where a seal is likeliest in the accepted azimuths; any other where there is no such place."""
+    low, high, level = (float(v) for v in observation["accepted"])
+    try:
+        normal = np.mean([b.normal for b in beliefs], axis=0)
+        generator = float(np.mod(np.arctan2(normal[1], normal[0]), 2 * np.pi))
+        inside = 0.1 * (high - low)  # for what is believed of the generator is not exact
+        plan = plan_grasp(
+            beliefs,
+            eye,
+            arm,
+            np.asarray(observation["joints"], float),
+            (low - generator + inside, high - generator - inside),
+            (level - HEIGHTS, level + HEIGHTS),
+        )
+    except (NoGrasp, InvalidInput, IndexError):
+        return np.concatenate([np.zeros(6), [1.0], np.zeros(6)])
+    cup = plan.T_world_cup
+    values = [*(cup.translation / REACH), *(cup.rotation.as_rotvec() / POSE_TURN)]
+    return np.concatenate([np.zeros(6), [1.0], values])
+
+
+def to_the_centimetre(seen: SeenFeatures) -> tuple[Array, Array]:
+    """Without parallax, to the nearest centimetre."""
+    return np.maximum(np.round(seen.radius, 2), 0.013), np.where(seen.sigma < 1.0, SURE, 1.0)
+
+
+def mean_object(seen: SeenFeatures) -> tuple[Array, Array]:
+    """Every vase is the mean one."""
+    return np.full(len(seen.rows), MEAN_RADIUS), np.full(len(seen.rows), SPREAD)
+
+
+BASELINES: dict[str, Callable[[], Policy]] = {
+    "random": RandomPolicy,
+    "oracle": Knowing,
+    "active": lambda: Grasper(best),
+    "parallax": lambda: Grasper(by_parallax),
+    "absolute": lambda: Grasper(to_the_centimetre),
+    "blind": lambda: Grasper(mean_object),
+}

@@ -1,0 +1,163 @@
+"""Baselines of Navigate: strings around what is known of the obstacle, by better and better knowledge.
+
+All but `oracle` start the same way: past the obstacle, a little away from it, until contours are tracked. From then on the
+newest contour generator near the camera's own level is an `ArcBelief`; earlier ones stay the strip already passed.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from extremal.estimator.camera import Array
+from extremal.sim import fixating
+from extremal.tasks.navigate_setup import CLEARANCE, SPHERE
+from extremal.tasks.planning.arcs import plan_around
+from extremal.tasks.planning.belief import ArcBelief, Caution
+from extremal.tasks.planning.pursuit import next_velocity
+from extremal.tasks.policies.policy import Policy, RandomPolicy
+from extremal.tasks.spaces import DT, SPEED, TURN, SeenFeatures
+
+MEAN_RADIUS, SPREAD = 0.1, 0.03  # [m] of obstacles
+LEVEL = 0.05  # [m] from the camera's level, within which a contour generator counts
+SAME = 0.006  # [m] between contact points that are one
+LEAST_LOOKS, WORST = 5, 0.06  # looks and sigma [m], before which a radius says nothing
+SHARPEST = 0.012  # [m] what is sharper is an edge that was taken for a contour
+OUTWARD = np.radians(25)  # of the first steps from the optical axis
+MARGIN = 0.002  # [m] on top of the wanted clearance: for poses
+
+
+class Knowing:
+    """The oracle: along the true shortest path."""
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        setup = env.unwrapped.setup  # pyright: ignore[reportAttributeAccessIssue]
+        self._points = setup.optimum.points
+
+    def act(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
+        pose = pose_of(observation)
+        return steered(pose, next_velocity(pose.translation, self._points, SPEED, DT), None)
+
+
+class Around:
+    """Follows the string around what is believed.
+
+    Args:
+        radius: (radius, sigma) [m] of (n,) rows: what is taken for the section's.
+        again: whether the plan follows the belief as it sharpens; else the first is kept for each contour.
+    """
+
+    def __init__(
+        self, radius: Callable[[SeenFeatures], tuple[Array, Array]], k: float = 2.0, again: bool = True
+    ) -> None:
+        self._radius, self._again = radius, again
+        self._caution = Caution(SPHERE + CLEARANCE + MARGIN, k)
+
+    def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
+        self._beliefs: list[ArcBelief] = []
+        self._start: RigidTransform | None = None
+
+    def act(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
+        pose, goal = pose_of(observation), np.asarray(observation["goal"], float)
+        self._start = pose if self._start is None else self._start
+        found = self._believed(SeenFeatures.of(dict(observation)), pose)
+        if found is not None:
+            self._remember(found)
+        if not self._beliefs:
+            return steered(pose, self._first_step(goal), None)
+        plan, _ = plan_around(pose.translation, goal, [self._beliefs], self._caution)
+        velocity = next_velocity(pose.translation, plan.waypoints, SPEED, DT)
+        return steered(pose, velocity, self._beliefs[-1].point)
+
+    def _first_step(self, goal: Array) -> Array:
+        """Forward and away from the obstacle, which hides the goal."""
+        assert self._start is not None
+        there = self._start.inv().apply(goal)
+        away = -np.sign(there[0]) or 1.0
+        along = np.array([away * np.sin(OUTWARD), 0.0, np.cos(OUTWARD)])
+        return SPEED * self._start.rotation.apply(along)
+
+    def _believed(self, seen: SeenFeatures, pose: RigidTransform) -> ArcBelief | None:
+        """The contour generator that is in view at the camera's level."""
+        radius, sigma = self._radius(seen)
+        ray = seen.position - pose.translation
+        level = np.abs(ray[:, 2]) < LEVEL
+        tangent = np.abs(np.sum(ray * seen.normal, axis=1)) < 0.6 * np.linalg.norm(ray, axis=1)
+        upright = np.abs(seen.normal[:, 2]) < 0.7
+        use = (seen.extremal > 0) & (seen.visible > 0) & (seen.reference == 0) & (seen.looks >= LEAST_LOOKS)
+        use &= level & tangent & upright & (sigma < WORST) & (radius > SHARPEST)
+        if use.sum() < 2:
+            return None
+        nearest = np.median(np.linalg.norm(ray[use], axis=1))
+        use &= np.linalg.norm(ray, axis=1) < 1.3 * nearest + 0.02
+        weight = 1 / (sigma[use] ** 2 + 1e-8)
+        weight /= weight.sum()
+        normal = weight @ seen.normal[use]
+        # errors of neighbours are much alike: their mean is not better than the best of them
+        return ArcBelief(
+            weight @ seen.position[use],
+            normal,
+            np.array([0.0, 0.0, 1.0]),
+            float(weight @ radius[use]),
+            float(np.min(sigma[use])),
+            float(np.min(seen.sigma_position[use])),
+        )
+
+    def _remember(self, found: ArcBelief) -> None:
+        for i, known in enumerate(self._beliefs):
+            if np.linalg.norm(known.point - found.point) < SAME:
+                if self._again:
+                    self._beliefs[i] = found
+                return
+        self._beliefs.append(found)
+
+
+def pose_of(observation: Mapping[str, Any]) -> RigidTransform:
+    """T_world_camera, as it is believed to be."""
+    values = np.asarray(observation["pose"], float)
+    return RigidTransform.from_components(values[:3], Rotation.from_quat(values[3:]))
+
+
+def steered(pose: RigidTransform, velocity: Array, target: Array | None) -> NDArray[np.floating]:
+    """The velocity action that moves the camera by `velocity` (3,) [m/s] while it turns to a point (3,), if there is one."""
+    turn = np.zeros(3)
+    if target is not None:
+        after = pose.translation + DT * velocity
+        if np.linalg.norm(target - after) > 0.02:
+            turn = (pose.rotation.inv() * fixating(after[None], target)[0].rotation).as_rotvec() / DT
+    share = min(1.0, TURN / max(float(np.linalg.norm(turn)), 1e-12))
+    return np.concatenate([velocity / SPEED, turn * share / TURN])
+
+
+def best(seen: SeenFeatures) -> tuple[Array, Array]:
+    """Relative to references where there are any."""
+    known = seen.sigma_relative < np.minimum(seen.sigma, 1.0)
+    return np.where(known, seen.relative, seen.radius), np.where(known, seen.sigma_relative, seen.sigma)
+
+
+def by_parallax(seen: SeenFeatures) -> tuple[Array, Array]:
+    """Relative to references alone."""
+    return seen.relative, seen.sigma_relative
+
+
+def to_the_centimetre(seen: SeenFeatures) -> tuple[Array, Array]:
+    """Without parallax, as the book found it: to the nearest centimetre."""
+    return np.round(seen.radius, 2), np.minimum(seen.sigma, 0.01)
+
+
+def mean_object(seen: SeenFeatures) -> tuple[Array, Array]:
+    """Every obstacle is the mean one."""
+    return np.full(len(seen.rows), MEAN_RADIUS), np.full(len(seen.rows), SPREAD)
+
+
+BASELINES: dict[str, Callable[[], Policy]] = {
+    "random": RandomPolicy,
+    "oracle": Knowing,
+    "active": lambda: Around(best),
+    "parallax": lambda: Around(by_parallax, again=False),
+    "absolute": lambda: Around(to_the_centimetre, k=0.0, again=False),
+    "blind": lambda: Around(mean_object, k=0.0),
+}

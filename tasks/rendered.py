@@ -1,0 +1,137 @@
+"""A sensor that looks: frames rendered by MuJoCo, through the real vision pipeline."""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from extremal.estimator.camera import Array, Camera, View
+from extremal.estimator.contours import SYSTEMATIC
+from extremal.estimator.errors import InvalidInput
+from extremal.estimator.estimates import OVERLAP
+from extremal.estimator.sequential import SequentialShape
+from extremal.scenes import Scene
+from extremal.sim import FrameRenderer, Quality, Sensor, scene_model
+from extremal.sim.quality import get_quality
+from extremal.tasks.edge_model import PREVIEW, EdgeModel
+from extremal.tasks.features import Features
+from extremal.tasks.section_tracks import LEAST_TILT, STEEPER, SectionTracks
+from extremal.tasks.track_sets import (
+    FIRST_LOOKS,
+    SPACING,
+    PoseRoots,
+    TrackSets,
+    checked_pose,
+    checked_spacing,
+    first_baseline,
+)
+
+FINE = replace(PREVIEW, sigma_px=SYSTEMATIC, bias_px=SYSTEMATIC)  # edges in frames that are sampled finely
+APART = round(OVERLAP)  # edgels along a contour from which on errors are independent
+MOST = 64  # tracks that are estimated, more or less
+
+
+class RenderedSensor:
+    """Follows contours in rendered frames; see `track_sets` for the rules. Of one thread."""
+
+    def __init__(
+        self, quality: str | Quality = "preview", sensor: Sensor | None = None, spacing: float = SPACING
+    ) -> None:
+        self._quality, self._sensor, self._spacing = quality, sensor or Sensor(), checked_spacing(spacing)
+        self._renderer: FrameRenderer | None = None
+        self._sets: TrackSets[View] | None = None
+
+    def reset(self, scene: Scene, camera: Camera, rng: np.random.Generator) -> None:
+        """See `FeatureSensor`; raises RenderingError where there is no offscreen rendering."""
+        self.close()
+        edges = PREVIEW if get_quality(self._quality).supersampling == 1 else FINE
+        self._renderer = FrameRenderer(scene_model(scene.to_spec()), camera, self._quality).__enter__()
+        self._camera, self._seed, self._looks = camera, rng.integers(2**63, size=2), 0
+        self._sets = TrackSets(lambda: _Tracks(edges), self._spacing)
+        self._pose, self._frame = None, None
+
+    def look(
+        self, T_world_camera: RigidTransform, T_world_camera_believed: RigidTransform, pose_covariance: Array
+    ) -> Features:
+        """See `FeatureSensor`."""
+        if self._sets is None:
+            raise InvalidInput("a sensor looks at nothing before `reset`")
+        checked_pose(T_world_camera)
+        centre = checked_pose(T_world_camera_believed)[:3, 3]
+        self._pose, self._frame = T_world_camera, None
+        self._looks += 1
+        if not self._sets.is_new(centre):
+            return self._sets.features
+        return self._sets.take_in(
+            View(self._camera, T_world_camera_believed, self._image(), pose_covariance), centre
+        )
+
+    @property
+    def frame(self) -> NDArray[np.uint8] | None:
+        """See `FeatureSensor`; of looks that are left out, it is rendered when it is asked for."""
+        return None if self._pose is None else self._image()
+
+    def close(self) -> None:
+        """Free the renderer's buffers."""
+        if self._renderer is not None:
+            self._renderer.close()
+        self._renderer = self._sets = None
+        self._pose = None
+
+    def _image(self) -> NDArray[np.uint8]:
+        """The image of the last look: the same whether and when it is asked for."""
+        if self._frame is None:
+            if self._renderer is None or self._pose is None:
+                raise InvalidInput("a sensor looks at nothing before `reset`")
+            rng = np.random.default_rng([*self._seed, self._looks])
+            self._frame = self._sensor.read(self._renderer.render(self._pose), self._camera, rng)
+        return self._frame
+
+
+class _Tracks(SequentialShape):
+    """One set of tracks: matched view by view as in the sequential estimate; `SectionTracks` estimates and tells."""
+
+    def __init__(self, edges: EdgeModel) -> None:
+        super().__init__(FIRST_LOOKS)
+        self._edges = edges
+        self._sections: SectionTracks | None = None
+        self._root = PoseRoots()
+
+    def take_in(self, look: View) -> None:
+        self._baseline = first_baseline(look.pose_covariance)
+        self.update(look)
+
+    def _absorb(self, view: View, normals: Array, sigma: Array) -> None:
+        """Of the contour points a few, whose errors are their own, in place of all in a `ContourFilter`."""
+        pose = view.T_world_camera.as_matrix()
+        if self._sections is None:
+            up = np.einsum("ni,ni->n", normals @ pose[:3, :3].T, self._frame[:, 2])
+            steep = np.isfinite(sigma) & (up**2 < 1 - (STEEPER * LEAST_TILT) ** 2)
+            self._rows = np.flatnonzero(steep)[_thinned(self._contour[steep])]
+            origin = self._origin[self._rows]
+            self._sections = SectionTracks(
+                origin,
+                self._frame[self._rows],
+                self._contour[self._rows],
+                np.linalg.norm(origin - view.centre, axis=1),
+                view.camera.fx,
+                self._edges,
+                noisy_slant=True,
+            )
+        root = self._root.of(view.pose_covariance)
+        # the pipeline does not know how coarsely a frame was sampled
+        sigma = np.maximum(sigma[self._rows], self._edges.sigma_px / view.camera.fx)
+        self._sections.take_in(pose, root, normals[self._rows], sigma)
+
+    def features(self) -> Features:
+        if self._sections is None:
+            return Features.empty()
+        return self._sections.features(self._pixels[self._rows])
+
+
+def _thinned(contour: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Rows (n) to keep: every APART-th point of each contour, or fewer where these are too many."""
+    _, first, inverse = np.unique(contour, return_index=True, return_inverse=True)
+    step = max(APART, -(-len(contour) // MOST))
+    return np.flatnonzero((np.arange(len(contour)) - first[inverse]) % step == step // 2)

@@ -6,7 +6,7 @@ frame the exact contacts of tracks are compared with the nearest edgel of like d
 
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -30,10 +30,11 @@ FARTHEST_LAG = 8  # views between which biases are compared
 @dataclass(frozen=True, eq=False)
 class EdgeErrors:
     """Errors (n, V) [px] across n edges in V views, NaN where no edge was found or none was there;
-    there: (n, V); turn: [rad] of the line of sight between two views."""
+    there: (n, V); limb: (n,) whether it is one; turn: [rad] of the line of sight between two views."""
 
     error: Array
     there: np.ndarray
+    limb: np.ndarray
     turn: float
 
 
@@ -60,7 +61,7 @@ def edge_errors(scene: Scene, quality: str, rng: np.random.Generator) -> EdgeErr
                 )
     error, there = (np.stack(parts, axis=1) for parts in zip(*columns, strict=True))
     turn = 2 * np.arctan(MOTION.baseline / 2 / MOTION.distance) / (MOTION.views - 1)
-    return EdgeErrors(error, there.astype(bool), float(turn))
+    return EdgeErrors(error, there.astype(bool), contacts.curve < 0, float(turn))
 
 
 def _compared(
@@ -154,7 +155,13 @@ def sensor_study(
         samples.append(edge_errors(scene, quality, np.random.default_rng([11, i])))
         if progress:
             progress(i + 1, len(scenes))
-    return fitted(samples)
+    limbs = fitted([_taken(s, s.limb) for s in samples])
+    fixed = fitted([_taken(s, ~s.limb) for s in samples if not s.limb.all()])
+    return replace(fitted(samples), sigma_px=limbs.sigma_px, fixed_sigma_px=fixed.sigma_px)
+
+
+def _taken(errors: EdgeErrors, rows: np.ndarray) -> EdgeErrors:
+    return EdgeErrors(errors.error[rows], errors.there[rows], errors.limb[rows], errors.turn)
 
 
 def main() -> None:

@@ -27,8 +27,8 @@ class CarriedCamera:
         geometry: the arm.
         world: D; mounting: exp(h).
         root: (6, 6) of the covariance root root' of z.
-        covariance: (6, 6) of what is known of a pose's error in the camera frame: z, and h, which a moving camera can't tell
-            from it.
+        covariance: (6, 6) of z.
+        mounting_sigma: standard deviations of h: position [m], rotation [rad], each axis.
     """
 
     geometry: ArmGeometry
@@ -36,6 +36,7 @@ class CarriedCamera:
     mounting: RigidTransform
     root: Array
     covariance: Array
+    mounting_sigma: tuple[float, float]
 
     @staticmethod
     def draw(errors: ArmErrors, start: RigidTransform, rng: np.random.Generator) -> "CarriedCamera":
@@ -52,7 +53,8 @@ class CarriedCamera:
             start * off * start.inv(),
             mounting,
             np.pad(root, ((0, 0), (0, 6 - root.shape[1]))),
-            own + np.diag(errors.hand_eye**2),
+            own,
+            (errors.hand_eye_position, errors.hand_eye_rotation),
         )
 
     def actual(self, T_world_camera: RigidTransform, rng: np.random.Generator) -> RigidTransform:

@@ -24,23 +24,24 @@ class EdgeModel:
     between its views. Most of the noise is the coarse sampling of that quality.
 
     Attributes:
-        sigma_px: standard deviation of the noise [px]. bias_px: of the bias [px]. bias_turn: [rad].
+        sigma_px: standard deviation of the noise of limbs, fixed_sigma_px: of fixed edges [px]. bias_px: of the bias [px]. bias_turn: [rad].
         dropout: probability that an edge is not found in a view. outlier: that another edge is taken for it.
         outlier_px: standard deviation of the offset of such an edge [px].
     """
 
-    sigma_px: float = 0.05
+    sigma_px: float = 0.033
     bias_px: float = 0.013
     bias_turn: float = 0.1
     dropout: float = 0.018
     outlier: float = 0.032
     outlier_px: float = 1.2
+    fixed_sigma_px: float = 0.06
 
     def __post_init__(self) -> None:
         for field in fields(self):
             value = getattr(self, field.name)
             most, least = (1.0 if field.name in ("dropout", "outlier") else 100.0), 0.0
-            if field.name in ("sigma_px", "bias_turn"):
+            if field.name in ("sigma_px", "fixed_sigma_px", "bias_turn"):
                 least = 1e-6
             if not least <= value <= most:
                 raise InvalidInput(f"{field.name} of edges is {value!r}; accepted: {least:g} to {most:g}")
@@ -54,11 +55,15 @@ class EdgeModel:
         kept = np.exp(-turn / self.bias_turn)
         return kept * bias + self.bias_px * np.sqrt(1 - kept**2) * rng.standard_normal(len(bias))
 
-    def draw(self, bias: Array, rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
-        """Errors (n,) [px] of one view and whether (n,) the edges are found. Always draws as much from `rng`."""
+    def noise(self, fixed: NDArray[np.bool_]) -> Array:
+        """Standard deviations (n,) [px] of edges that are `fixed` or not."""
+        return np.where(fixed, self.fixed_sigma_px, self.sigma_px)
+
+    def draw(self, bias: Array, noise: Array, rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
+        """Errors (n,) [px] of one view, of biases and sigma of the noise (n,) [px], and whether (n,) the edges are found. Always draws as much from `rng`."""
         normal, chance = rng.standard_normal((2, len(bias))), rng.uniform(size=(2, len(bias)))
         false = chance[0] < self.outlier
-        return np.where(false, self.outlier_px * normal[1], bias + self.sigma_px * normal[0]), (
+        return np.where(false, self.outlier_px * normal[1], bias + noise * normal[0]), (
             chance[1] >= self.dropout
         )
 

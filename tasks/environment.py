@@ -14,7 +14,7 @@ from extremal.estimator.errors import InvalidInput
 from extremal.scenes import Scene
 from extremal.tasks.carried import CarriedCamera
 from extremal.tasks.eye import Eye
-from extremal.tasks.features import Features
+from extremal.tasks.features import with_mounting
 from extremal.tasks.overlay import picture
 from extremal.tasks.sensors import make_sensor
 from extremal.tasks.spaces import DT, SPEED, checked_action, feature_rows, feature_space, motion_space, moved
@@ -163,7 +163,8 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         return self._observe(), float(reward), ended, truncated, self._info()
 
     def _look(self) -> None:
-        self.features: Features = self._sensor.look(self.actual, self.commanded, self.robot.covariance)
+        seen = self._sensor.look(self.actual, self.commanded, self.robot.covariance)
+        self.features = with_mounting(seen, self.commanded.translation, *self.robot.mounting_sigma)
 
     def _observe(self) -> Observation:
         pose = np.concatenate([self.commanded.translation, self.commanded.rotation.as_quat(canonical=True)])

@@ -191,3 +191,22 @@ class FeatureSensor(Protocol):
     def close(self) -> None:
         """Free what the sensor holds; `reset` opens it again."""
         ...
+
+
+def with_mounting(features: Features, eye: Array, position: float, rotation: float) -> Features:
+    """Features with what a wrong mounting of the camera adds to their uncertainty.
+
+    Turned about what it fixates, a camera that is off by h across its axis sees every tangent pass h farther out: all radii
+    are larger by h. Differences between radii are not.
+
+    Args:
+        eye: (3,) [m] camera centre.
+        position, rotation: standard deviations of the mounting, each axis [m], [rad].
+    """
+    distance = np.linalg.norm(features.position - eye, axis=1)
+    off = np.hypot(position, rotation * distance)
+    return replace(
+        features,
+        sigma_radius=np.hypot(features.sigma_radius, off),
+        covariance=features.covariance + (off**2)[:, None, None] * np.eye(3),
+    )

@@ -122,6 +122,7 @@ class _Tracks:
         away = (contacts.points - at.actual[:3, 3]) @ turned.T
         distance = np.linalg.norm(away, axis=1)
         ray = away / distance[:, None]
+        self._noise = self._model.noise(contacts.curve >= 0)
         self._travel, self._start = travel, at.believed[:3, 3]
         self._plane = _unit(np.cross(travel, ray))
         first = np.cross(ray, self._plane)
@@ -174,7 +175,7 @@ class _Tracks:
         high = np.array([camera.width, camera.height]) - 0.5
         ok = contacts.there & ~self._hidden & found & (ray[:, 2] > 0)
         ok &= np.all((pixels >= -0.5) & (pixels <= high), axis=1)
-        sigma = np.where(ok, self._model.sigma_px * per_px, np.inf)
+        sigma = np.where(ok, self._noise * per_px, np.inf)
         normals = _unit(normals + (error * per_px)[:, None] * ray)
         return _Seen(normals, sigma, pixels - (error / slope)[:, None] * across_px)
 
@@ -186,7 +187,7 @@ class _Tracks:
             turn = float(np.arccos(np.clip(middle @ self._line, -1, 1)))
             self._bias = self._model.next_bias(self._bias, turn, self._rng)
         self._line = middle
-        return self._model.draw(self._bias, self._rng)
+        return self._model.draw(self._bias, self._noise, self._rng)
 
     def _update_hidden(self, centre: Array) -> None:
         rows = slice(self._looks % OCCLUSION_TURNS, None, OCCLUSION_TURNS)

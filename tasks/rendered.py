@@ -27,7 +27,9 @@ from extremal.tasks.track_sets import (
     first_baseline,
 )
 
-FINE = replace(PREVIEW, sigma_px=SYSTEMATIC, bias_px=SYSTEMATIC)  # edges in frames that are sampled finely
+FINE = replace(
+    PREVIEW, sigma_px=SYSTEMATIC, fixed_sigma_px=SYSTEMATIC, bias_px=SYSTEMATIC
+)  # edges in frames that are sampled finely
 APART = round(OVERLAP)  # edgels along a contour from which on errors are independent
 MOST = 64  # tracks that are estimated, more or less
 
@@ -95,6 +97,8 @@ class _Tracks(SequentialShape):
     def __init__(self, edges: EdgeModel) -> None:
         super().__init__(FIRST_LOOKS)
         self._edges = edges
+        # [px] of a limb or a fixed edge, which is not known
+        self._least = np.hypot(edges.sigma_px, edges.fixed_sigma_px) / np.sqrt(2)
         self._sections: SectionTracks | None = None
         self._root = PoseRoots()
 
@@ -121,7 +125,7 @@ class _Tracks(SequentialShape):
             )
         root = self._root.of(view.pose_covariance)
         # the pipeline does not know how coarsely a frame was sampled
-        sigma = np.maximum(sigma[self._rows], self._edges.sigma_px / view.camera.fx)
+        sigma = np.maximum(sigma[self._rows], self._least / view.camera.fx)
         self._sections.take_in(pose, root, normals[self._rows], sigma)
 
     def features(self) -> Features:

@@ -26,9 +26,13 @@ EARLY, EARLY_STEPS, STEPS = (
     3,
     2,
 )  # looks until which more steps are taken than later; before, no look is an outlier
-ACROSS_PRIOR, DEPTH_PRIOR, RADIUS_PRIOR = 0.1, 0.06, 0.06  # sigma of s [m], of q as a fraction of the distance, of R [m]
+ACROSS_PRIOR, DEPTH_PRIOR, RADIUS_PRIOR = (
+    0.1,
+    0.06,
+    0.06,
+)  # sigma of s [m], of q as a fraction of the distance, of R [m]
 LARGEST_RADIUS = 0.3  # [m] at which looks are linearised
-ROUNDING = 1e-9  # of its information that a section is given besides, so that rounding leaves it positive
+ROUNDING = 1e-7  # of its information that a section is given besides, so that rounding leaves it positive
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +136,9 @@ class SectionSmoother:
     def _prior(self) -> Array:
         """Information (n, 3) on s, q, R: they are those of objects that stand on tables, near where they were first seen."""
         one = np.ones_like(self._distance)
-        return np.stack([ACROSS_PRIOR * one, DEPTH_PRIOR * self._distance, RADIUS_PRIOR * one], axis=1) ** -2.0
+        return (
+            np.stack([ACROSS_PRIOR * one, DEPTH_PRIOR * self._distance, RADIUS_PRIOR * one], axis=1) ** -2.0
+        )
 
     def _rows(self) -> tuple[Array, Array, Array]:
         """Rows y = X theta + O z + noise, in standard deviations: X (V, n, 3), O (V, n, K), y (V, n)."""

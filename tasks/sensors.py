@@ -17,8 +17,11 @@ def make_sensor(name: str, edge_noise: float = 1.0) -> FeatureSensor:
     """A sensor whose noise is `edge_noise` times the usual; InvalidInput for an unknown name."""
     if name == "geometric":
         usual = EdgeModel()
-        sigma, bias = max(edge_noise * usual.sigma_px, LEAST), edge_noise * usual.bias_px
-        return GeometricSensor(replace(usual, sigma_px=sigma, bias_px=bias))
+        noise = {
+            name: max(edge_noise * getattr(usual, name), LEAST)
+            for name in ("sigma_px", "fixed_sigma_px", "bias_px")
+        }
+        return GeometricSensor(replace(usual, **noise))
     if name == "rendered":
         return RenderedSensor(sensor=Sensor(edge_noise * Sensor().noise))
     raise InvalidInput(f"sensor is {name!r}; accepted: {', '.join(SENSORS)}")

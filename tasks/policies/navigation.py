@@ -138,6 +138,11 @@ def best(seen: SeenFeatures) -> tuple[Array, Array]:
     return np.where(known, seen.relative, seen.radius), np.where(known, seen.sigma_relative, seen.sigma)
 
 
+def by_itself(seen: SeenFeatures) -> tuple[Array, Array]:
+    """From all looks at the contour itself, without references."""
+    return seen.radius, seen.sigma
+
+
 def by_parallax(seen: SeenFeatures) -> tuple[Array, Array]:
     """Relative to references alone."""
     return seen.relative, seen.sigma_relative
@@ -156,7 +161,7 @@ def mean_object(seen: SeenFeatures) -> tuple[Array, Array]:
 BASELINES: dict[str, Callable[[], Policy]] = {
     "random": RandomPolicy,
     "oracle": Knowing,
-    "active": lambda: Around(best),
+    "active": lambda: Around(by_itself),
     "parallax": lambda: Around(by_parallax, again=False),
     "absolute": lambda: Around(to_the_centimetre, k=0.0, again=False),
     "blind": lambda: Around(mean_object, k=0.0),

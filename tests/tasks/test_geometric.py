@@ -211,7 +211,7 @@ def test_edge_model_draws_what_it_says() -> None:
     later = model.next_bias(bias, 0.05, rng)
     assert np.std(later) == pytest.approx(0.1, rel=0.03)
     assert np.corrcoef(bias, later)[0, 1] == pytest.approx(np.exp(-0.5), abs=0.02)
-    error, found = model.draw(bias, rng)
+    error, found = model.draw(bias, model.noise(np.zeros(n, bool)), rng)
     assert np.std(error - bias) == pytest.approx(0.05, rel=0.03)
     assert np.mean(found) == pytest.approx(0.9, abs=0.01)
     with pytest.raises(InvalidInput, match=r"dropout of edges is 1\.5"):

@@ -14,6 +14,8 @@ COMMANDS = {
     "look": "look at a scene: from rendered frames to curvature with its uncertainty, beside the truth",
     "calibrate": "calibrate camera, hand-eye transform and arm by a board, simulated or from your own photographs",
     "accuracy": "measure accuracy over random vases, lights and noise; makes the tables of docs/accuracy.md",
+    "navigate": "one episode around a curved obstacle, with a film and its scores",
+    "grasp": "one episode of lifting a vase by the side that was not seen, with a film and its scores",
     "evaluate": "how well a policy does in a task: success over test episodes, with confidence intervals",
     "sensitivity": "show what errors of edges and egomotion do to R: figures 3.11 and 3.12 of the book",
     "doctor": "whether offscreen rendering works here, how exactly and how fast; if not, what to install",

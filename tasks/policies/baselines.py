@@ -1,6 +1,7 @@
 """The baselines of every environment by their names."""
 
 from collections.abc import Callable
+from typing import Any
 
 from extremal.tasks.policies import grasping, inspection, navigation
 from extremal.tasks.policies.policy import Policy
@@ -11,4 +12,4 @@ BASELINES: dict[str, dict[str, Callable[[], Policy]]] = {
     "Grasp": grasping.BASELINES,
 }
 # what every policy of an environment is given to decide
-ARGUMENTS: dict[str, dict[str, str]] = {"Inspect": {"answer": "policy"}}
+ARGUMENTS: dict[str, dict[str, Any]] = {"Inspect": {"answer": "policy"}}

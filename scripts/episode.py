@@ -1,0 +1,99 @@
+"""One episode of a task, shown: a film of it, its last picture, and its scores."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import gymnasium as gym
+import numpy as np
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.progress import track
+from rich.table import Table
+
+from extremal.estimator import InvalidInput
+from extremal.scripts.output import output_folder
+from extremal.sim.arm_errors import ArmName
+from extremal.tasks.policies.baselines import ARGUMENTS, BASELINES
+from extremal.tasks.policies.policy import load_policy
+
+FRAMES_A_SECOND = 10
+
+
+@dataclass(frozen=True)
+class EpisodeSettings:
+    """One episode: writes episode.mp4, episode.png and episode.json."""
+
+    policy: str = "active"
+    """random, oracle, active, parallax, absolute, blind, or module:Class of your own"""
+    sensor: Literal["geometric", "rendered"] = "geometric"
+    """exact contours with a model of edge errors, or frames through the vision pipeline"""
+    tier: str = "standard-v0"
+    """what the episode is drawn from"""
+    arm: ArmName | None = None
+    """replaces the tier's calibration"""
+    seed: int = 1_000_000
+    """of the episode; 1,000,000 and following are the test episodes"""
+    out: Path = Path("out/episode")
+    """folder that is written"""
+
+
+def show_episode(task: str, settings: EpisodeSettings) -> None:
+    """Run an episode of "Navigate" or "Grasp" and write it to `settings.out`."""
+    if settings.seed < 0:
+        raise InvalidInput(f"--seed is {settings.seed}; accepted: a whole number from 0")
+    console = Console()
+    policy = load_policy(settings.policy, BASELINES[task])
+    env = gym.make(
+        f"extremal.tasks:extremal/{task}-v0",
+        render_mode="rgb_array",
+        sensor=settings.sensor,
+        tier=settings.tier,
+        arm=settings.arm,
+        **ARGUMENTS.get(task, {}),
+    )
+    try:
+        frames, info = _run(env, policy, settings.seed, console)
+    finally:
+        env.close()
+    with output_folder(settings.out) as folder:
+        _film(folder / "episode.mp4", frames)
+        cv2.imwrite(str(folder / "episode.png"), cv2.cvtColor(frames[-1], cv2.COLOR_RGB2BGR))
+        scores = {name: float(value) for name, value in info.items()}
+        content = {"task": task, "policy": settings.policy, "seed": settings.seed, "scores": scores}
+        (folder / "episode.json").write_text(json.dumps(content, indent=1) + "\n")
+    table = Table(title=f"{task}, {settings.policy}, seed {settings.seed}", box=SIMPLE)
+    table.add_column("score", no_wrap=True)
+    table.add_column("value", justify="right")
+    for name, value in scores.items():
+        table.add_row(name, f"{value:.3g}")
+    console.print(table)
+    console.print(f"wrote {settings.out}/: episode.mp4, episode.png and episode.json")
+
+
+def _run(
+    env: gym.Env[Any, Any], policy: Any, seed: int, console: Console
+) -> tuple[list[np.ndarray], dict[str, Any]]:
+    """Pictures of an episode and its last info."""
+    observation, info = env.reset(seed=seed)
+    policy.reset(env, np.random.default_rng([seed, 3]))
+    frames: list[np.ndarray] = [env.render()]  # pyright: ignore[reportAssignmentType]
+    most = env.unwrapped.max_steps  # pyright: ignore[reportAttributeAccessIssue]
+    for _ in track(range(most), "steps", console=console, transient=True):
+        observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        frames.append(env.render())  # pyright: ignore[reportArgumentType]
+        if terminated or truncated:
+            break
+    return frames, info
+
+
+def _film(path: Path, frames: list[np.ndarray]) -> None:
+    height, width = frames[0].shape[:2]
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FRAMES_A_SECOND, (width, height))
+    if not writer.isOpened():
+        raise InvalidInput("this OpenCV writes no MP4; accepted: opencv-python-headless from PyPI")
+    for frame in frames:
+        writer.write(cv2.cvtColor(frame, cv2.COLOR_RGB2BGR))
+    writer.release()

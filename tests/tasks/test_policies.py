@@ -1,0 +1,134 @@
+"""Baselines do what they are for, on episodes that nothing was tuned to; evaluation keeps, resumes and counts."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from extremal.estimator import InvalidInput
+from extremal.scripts.evaluate import EvaluateSettings, evaluate
+from extremal.tasks.answers import Answer, contact_from, crps, probability_extremal, quality
+from extremal.tasks.evaluation import Evaluation, leaderboard, run_episode, run_evaluation
+from extremal.tasks.inspect_setup import InspectTruth
+from extremal.tasks.policies.baselines import BASELINES
+from extremal.tasks.policies.policy import RandomPolicy, load_policy
+from extremal.tasks.tiers import TRAIN_SEEDS
+
+SEEDS = TRAIN_SEEDS[71_000:71_004]
+
+
+@pytest.mark.parametrize("env", sorted(BASELINES))
+def test_the_oracle_succeeds(env: str) -> None:
+    for seed in SEEDS:
+        assert run_episode(Evaluation(env, "oracle", 1), seed)["is_success"]
+
+
+@pytest.mark.parametrize("env", ["Navigate", "Grasp"])
+def test_the_active_policy_succeeds_where_robots_are_typical(env: str) -> None:
+    results = [run_episode(Evaluation(env, "active", 1), seed) for seed in SEEDS]
+    assert sum(result["is_success"] for result in results) >= 3
+    assert all(0 <= result["return"] <= 1 + 1e-6 for result in results)
+
+
+@pytest.mark.parametrize("env", sorted(BASELINES))
+@pytest.mark.parametrize("policy", ["random", "parallax", "absolute", "blind"])
+def test_every_baseline_gets_through(env: str, policy: str) -> None:
+    assert np.isfinite(run_episode(Evaluation(env, policy, 1), SEEDS[0])["return"])
+
+
+def test_evaluation_resumes_and_agrees_for_any_number_of_workers(tmp_path: Path) -> None:
+    evaluation = Evaluation("Inspect", "active", 4)
+    whole = run_evaluation(evaluation, tmp_path / "one")
+    part = Evaluation("Inspect", "active", 2)
+    run_evaluation(part, tmp_path / "two")
+    kept = {path.name: path.stat().st_mtime_ns for path in (tmp_path / "two" / "episodes").iterdir()}
+    assert run_evaluation(evaluation, tmp_path / "two", workers=2) == whole
+    for name, when in kept.items():
+        assert (tmp_path / "two" / "episodes" / name).stat().st_mtime_ns == when
+    assert whole["episodes"] == 4 and set(whole["metrics"]["quality"]) >= {"median", "p05", "p95"}
+
+
+def test_the_command_writes_its_files_and_takes_policies_of_ones_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own_policy.py").write_text(
+        "import numpy as np\n\nclass Still:\n"
+        "    def reset(self, env, rng):\n        self.shape = env.action_space.shape\n"
+        "    def act(self, observation):\n        return np.zeros(self.shape)\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    for policy in ("oracle", "random", "own_policy:Still"):
+        evaluate(EvaluateSettings("Inspect", policy, 2, workers=1, out=tmp_path / "out"))
+    found = json.loads((tmp_path / "out" / "evaluation.json").read_text())
+    assert found["policy"] == "own_policy:Still" and found["success_rate"] == 0
+    rows = {row["policy"]: row for row in json.loads((tmp_path / "out" / "leaderboard.json").read_text())}
+    assert rows["oracle"]["score"] == 1 and rows["random"]["score"] == 0
+    assert len(rows) == 3
+
+
+def test_bad_names_are_named(tmp_path: Path) -> None:
+    for values in (("Fly", "active", 1), ("Navigate", "clever", 1), ("Navigate", "nowhere:Policy", 1)):
+        with pytest.raises(InvalidInput):
+            Evaluation(*values)
+    with pytest.raises(InvalidInput, match="accepted: 0 to 999"):
+        Evaluation("Navigate", "random", 1001)
+    with pytest.raises(InvalidInput, match="accepted: one with reset and act"):
+        load_policy("builtins:dict", {"random": RandomPolicy})
+
+
+def test_a_leaderboard_replaces_what_is_the_same(tmp_path: Path) -> None:
+    row = {"env": "Grasp", "policy": "x", "sensor": "geometric", "tier": "t", "arm": None, "episodes": 3}
+    for rate in (0.2, 0.6):
+        rows = leaderboard(tmp_path / "l.json", row | {"success_rate": rate, "success_ci95": [0, 1]})
+    assert len(rows) == 1 and rows[0]["success_rate"] == 0.6 and rows[0]["score"] is None
+
+
+# Answers.
+
+
+def test_scores_are_proper() -> None:
+    """Whoever believes R ~ N(40, 5) mm expects the best score by saying so."""
+    rng = np.random.default_rng(0)
+    values = 0.04 + 0.005 * rng.standard_normal(20_000)
+
+    def mean(radius: float, sigma: float) -> float:
+        return float(np.mean([crps(radius, sigma, value) for value in values[:4000]]))
+
+    honest = mean(0.04, 0.005)
+    for radius, sigma in ((0.04, 0.001), (0.04, 0.02), (0.046, 0.005), (0.034, 0.005)):
+        assert mean(radius, sigma) > honest
+    # the integral that defines it
+    x = np.linspace(0, 0.1, 20_001)
+    from scipy.stats import norm
+
+    integral = np.trapezoid((norm.cdf((x - 0.04) / 0.005) - (x >= 0.047)) ** 2, x)
+    assert crps(0.04, 0.005, 0.047) == pytest.approx(integral, rel=2e-3)
+
+
+def test_a_contour_generator_slides_as_on_a_cylinder() -> None:
+    """Tangents from two places to a circle of radius 50 mm, seen from 0.4 m away."""
+    radius, centre = 0.05, np.array([0.0, 0.0, 0.1])
+
+    def contact(eye: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        d = centre - eye
+        bearing, angle = np.arctan2(d[1], d[0]), np.arccos(radius / np.linalg.norm(d))
+        normal = np.array([np.cos(bearing + np.pi - angle), np.sin(bearing + np.pi - angle), 0.0])
+        return centre + radius * normal, normal
+
+    eyes = [np.array([-0.4, y, 0.1]) for y in (0.0, 0.15)]
+    (first, normal), (second, _) = (contact(eye) for eye in eyes)
+    np.testing.assert_allclose(contact_from(eyes[1], first, normal, radius), second, atol=1e-12)
+    np.testing.assert_allclose(contact_from(eyes[1], first, normal, 0.0), first, atol=1e-12)
+
+
+def test_probability_of_an_extremal_boundary() -> None:
+    assert probability_extremal(0.04, 0.001) > 0.999
+    assert probability_extremal(0.0005, 0.001) < 0.1
+    assert 0.2 < probability_extremal(0.0, 0.05) < 0.8  # nothing is known
+
+
+def test_a_fixed_feature_called_one_is_worth_all() -> None:
+    truth = InspectTruth("crease", np.zeros(3), np.array([1.0, 0, 0]), 0.0, True)
+    assert quality(Answer(0.0, 0.0, 0.01, np.zeros(3)), truth) == 1
+    assert quality(Answer(1.0, 0.05, 0.01, np.zeros(3)), truth) == 0

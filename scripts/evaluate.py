@@ -83,19 +83,17 @@ def _metrics_table(found: dict[str, Any]) -> Table:
 
 def _leaderboard_table(rows: list[dict[str, Any]]) -> Table:
     table = Table(title="leaderboard", box=SIMPLE)
-    for name in ("env", "tier", "sensor", "arm", "policy", "episodes", "success", "95 %", "score"):
-        table.add_column(name, no_wrap=True)
+    for name in ("setting", "policy", "episodes", "success", "95 %", "score"):
+        table.add_column(name, no_wrap=name != "setting")
     for row in rows:
         low, high = row["success_ci95"]
+        setting = " ".join(str(row[k]) for k in ("env", "tier", "sensor", "arm") if row[k])
         table.add_row(
-            row["env"],
-            row["tier"],
-            row["sensor"],
-            row["arm"] or "-",
+            setting,
             row["policy"],
             str(row["episodes"]),
             f"{100 * row['success_rate']:.1f} %",
-            f"{100 * low:.1f} to {100 * high:.1f} %",
+            f"{100 * low:.1f}-{100 * high:.1f} %",
             "-" if row["score"] is None else f"{row['score']:.2f}",
         )
     return table

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtr
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
@@ -44,9 +44,9 @@ class Answer:
 
 def probability_extremal(radius: float, sigma: float) -> float:
     """That a contour of measured R +- sigma [m] is an extremal boundary: of any radius up to LARGEST, as likely as a fixed one."""
-    boundary = (norm.cdf((LARGEST - radius) / sigma) - norm.cdf(-radius / sigma)) / LARGEST
-    fixed = norm.pdf(radius / sigma) / sigma
-    return float(boundary / (boundary + fixed)) if boundary + fixed > 0 else 0.5
+    boundary = (float(ndtr((LARGEST - radius) / sigma)) - float(ndtr(-radius / sigma))) / LARGEST
+    fixed = _density(radius / sigma) / sigma
+    return boundary / (boundary + fixed) if boundary + fixed > 0 else 0.5
 
 
 def contact_from(eye: Array, point: Array, normal: Array, radius: float) -> Array:
@@ -67,7 +67,7 @@ def contact_from(eye: Array, point: Array, normal: Array, radius: float) -> Arra
 def crps(mean: float, sigma: float, value: float) -> float:
     """Continuous ranked probability score [m] of a normal belief (Gneiting and Raftery 2007): proper, 0 at best."""
     z = (value - mean) / sigma
-    return float(sigma * (z * (2 * norm.cdf(z) - 1) + 2 * norm.pdf(z) - 1 / np.sqrt(np.pi)))
+    return sigma * (z * (2 * float(ndtr(z)) - 1) + 2 * _density(z) - float(np.pi) ** -0.5)
 
 
 def quality(answer: Answer, truth: InspectTruth) -> float:
@@ -84,7 +84,8 @@ def negative_log_likelihood(answer: Answer, truth: InspectTruth) -> float:
     right = answer.extremal if not truth.is_fixed else 1 - answer.extremal
     loss = -np.log(max(right, 1e-12))
     if not truth.is_fixed:
-        loss -= norm.logpdf(1e3 * truth.radius, 1e3 * answer.radius, 1e3 * answer.sigma)
+        z, spread = (truth.radius - answer.radius) / answer.sigma, 1e3 * answer.sigma
+        loss += 0.5 * z**2 + np.log(spread * np.sqrt(2 * np.pi))
     return float(loss)
 
 
@@ -95,3 +96,8 @@ def is_right(answer: Answer, truth: InspectTruth) -> bool:
     if truth.is_fixed:
         return label and place
     return label and place and abs(answer.radius - truth.radius) <= max(RIGHT, RIGHT_SHARE * truth.radius)
+
+
+def _density(z: float) -> float:
+    """Of the standard normal distribution."""
+    return float(np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi))

@@ -1,5 +1,6 @@
 """What every registered environment has to be: Gymnasium's own check, deterministic, safe against nonsense, pictured."""
 
+import gc
 import pickle
 import warnings
 from pathlib import Path
@@ -140,7 +141,9 @@ def test_a_killed_worker_is_reported() -> None:
     with pytest.raises(Exception):  # noqa: B017  Gymnasium's own: a broken pipe or the end of a file
         for _ in range(3):
             envs.step(np.zeros((2, 6), np.float32))
-    envs.close(terminate=True)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that a call was pending
+        envs.close(terminate=True)
 
 
 def test_what_is_learnt_stays_out_of_the_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -150,3 +153,32 @@ def test_what_is_learnt_stays_out_of_the_folder(tmp_path: Path, monkeypatch: pyt
     rollout(env, 2, steps=2)
     env.close()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_gymnasium_records_videos(tmp_path: Path) -> None:
+    env = gym.wrappers.RecordVideo(
+        made("extremal/Inspect-v0", render_mode="rgb_array"), str(tmp_path / "videos"), disable_logger=True
+    )
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.array([0.1, 0, 0, 0, 0, 0, -1], np.float32))
+    env.close()
+    (video,) = (tmp_path / "videos").glob("*.mp4")
+    assert video.stat().st_size > 1000
+
+
+@pytest.mark.slow
+def test_a_hundred_environments_leave_nothing() -> None:
+    """Made, rendered and closed in one process: after the first ones memory stays."""
+    import resource
+
+    def grown(count: int) -> int:
+        for seed in range(count):
+            env = made("extremal/Navigate-v0", obs_mode="both")
+            env.reset(seed=seed)
+            env.close()
+        gc.collect()
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+
+    warm = grown(20)
+    assert grown(80) - warm < 30_000  # [kB]

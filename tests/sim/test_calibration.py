@@ -88,7 +88,7 @@ def test_gradient_of_all_unknowns() -> None:
 
 @pytest.mark.parametrize(
     ("arm", "runs"),
-    [("typical", 12), *(pytest.param(arm, 30, marks=pytest.mark.slow) for arm in ("calibrated", "poor"))],
+    [("typical", 6), *(pytest.param(arm, 30, marks=pytest.mark.slow) for arm in ("calibrated", "poor"))],
 )
 def test_errors_are_as_stated(arm: str, runs: int) -> None:
     """NEES and coverage of intrinsics, hand-eye transform and poses over many arms."""
@@ -116,7 +116,7 @@ def test_errors_are_as_stated(arm: str, runs: int) -> None:
 
 def test_a_calibrated_rig_knows_its_poses_elsewhere() -> None:
     """Readings that the calibration has not seen, at each of which the arm errs anew: NEES, and far better than before."""
-    runs, nees, better = 10, [], []
+    runs, nees, better = 5, [], []
     for seed in range(runs):
         fit, rig, _ = calibrated(seed, "typical")
         rng = np.random.default_rng([seed, 8])
@@ -131,7 +131,7 @@ def test_a_calibrated_rig_knows_its_poses_elsewhere() -> None:
         nees.append(left @ np.linalg.solve(prior.covariance[0], left))
         better.append(distances[1] < distances[0])
     assert abs(np.mean(nees) / 6 - 1) < 5 * np.sqrt(2 / (6 * runs))
-    assert np.mean(better) >= 0.7
+    assert np.mean(better) >= 0.6
 
 
 def test_a_rig_like_a_real_one_is_drawn_from_its_calibration() -> None:

@@ -8,8 +8,7 @@ from extremal.sim.quality import psf_margin
 from extremal.sim.window import Window
 
 
-@pytest.mark.parametrize("scale", [1, 4])
-@pytest.mark.parametrize("name", ["industrial", "webcam"])
+@pytest.mark.parametrize(("name", "scale"), [("industrial", 1), ("webcam", 1), ("industrial", 4)])
 def test_points_go_where_the_camera_puts_them(name: str, scale: int) -> None:
     """An image whose grey levels are its coordinates reads them out, 1e-3 px exactly in rings as much as anywhere:
     OpenCV's remap rounds places to 1/32 px, in steps that do not average where the distortion changes slowly."""
@@ -31,9 +30,9 @@ def test_points_go_where_the_camera_puts_them(name: str, scale: int) -> None:
 
 
 def test_a_fine_pattern_keeps_its_contrast_and_phase() -> None:
-    """A wave of 8 rendered pixels a period, much finer than the PSF lets pass at scale 4."""
+    """A wave of 8 rendered pixels a period, much finer than edges are."""
     camera = get_camera("webcam").camera
-    window = Window.around(camera, 4)
+    window = Window.around(camera, 2)
     wave = 2 * np.pi / 8 * np.arange(window.shape[1])
     image = np.tile(np.cos(wave), (window.shape[0], 1)).astype(np.float32)
     columns = window._maps[0].astype(float)

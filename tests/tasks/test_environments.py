@@ -65,13 +65,14 @@ def test_a_seed_is_an_episode(name: str) -> None:
 @pytest.mark.parametrize("name", NAMES)
 def test_nonsense_is_refused_or_clipped(name: str) -> None:
     env = made(name).unwrapped
+    shape = env.action_space.shape or ()
     with pytest.raises(InvalidInput, match="reset"):
-        env.step(np.zeros(env.action_space.shape))
+        env.step(np.zeros(shape))
     env.reset(seed=0)
-    for action in (np.full(env.action_space.shape, np.nan), np.zeros(3), "left"):
+    for action in (np.full(shape, np.nan), np.zeros(3), "left"):
         with pytest.raises((InvalidInput, ValueError)):
             env.step(action)
-    observation, *_ = env.step(np.full(env.action_space.shape, 1e9))
+    observation, *_ = env.step(np.full(shape, 1e9))
     assert env.observation_space.contains(observation)
     with pytest.raises(InvalidInput, match="option is 'colour'; accepted: families"):
         env.reset(options={"colour": "red"})
@@ -120,7 +121,7 @@ def test_vectors_agree() -> None:
     seen = []
     for mode, more in (("sync", {}), ("async", {"context": "spawn"})):
         envs = gym.make_vec(name, num_envs=2, vectorization_mode=mode, vector_kwargs=more)
-        observations = [envs.reset(seed=[3, 4])[0]]
+        observations = [envs.reset(seed=[3, 4])[0]]  # pyright: ignore[reportArgumentType]
         for _ in range(4):
             observations.append(envs.step(np.full((2, 6), 0.1, np.float32))[0])
         envs.close()

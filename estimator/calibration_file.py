@@ -4,8 +4,6 @@ The format is described in docs/calibration.md.
 """
 
 import json
-import os
-import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, fields
@@ -19,6 +17,7 @@ from extremal.estimator.board import Board
 from extremal.estimator.calibration import MOST_PARAMETERS, Calibration, Simulation
 from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput
+from extremal.estimator.files import write_whole
 
 FORMAT = 1
 LARGEST_FILE = 4_000_000  # bytes
@@ -46,13 +45,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     """
     text, path = _text(calibration), Path(path)
     try:
-        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
-            temporary = Path(file.name)
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        temporary.chmod(0o644)
-        temporary.replace(path)
+        write_whole(path, text)
     except OSError as error:
         raise InvalidInput(f"calibration file {str(path)!r} can't be written: {error.strerror}") from None
 

@@ -52,6 +52,7 @@ def probability_extremal(radius: float, sigma: float) -> float:
 def contact_from(eye: Array, point: Array, normal: Array, radius: float) -> Array:
     """Contact point (3,) [m] of the osculating circle at `point` with the ray from another place: the contour generator slides
     over the surface as the eye moves. A fixed feature (radius 0) stays."""
+    normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
     centre = point - radius * normal
     away = centre - eye
     distance = float(np.linalg.norm(away))

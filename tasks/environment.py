@@ -17,7 +17,7 @@ from extremal.tasks.eye import Eye
 from extremal.tasks.features import with_mounting
 from extremal.tasks.overlay import picture
 from extremal.tasks.sensors import make_sensor
-from extremal.tasks.spaces import DT, SPEED, checked_action, feature_rows, feature_space, motion_space, moved
+from extremal.tasks.spaces import checked_action, feature_rows, feature_space, motion_space, moved
 from extremal.tasks.tiers import Tier, get_tier
 
 SensorName = Literal["geometric", "rendered"]
@@ -98,6 +98,10 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
     @abstractmethod
     def _scene(self) -> tuple[Scene, RigidTransform]:
         """The scene and the commanded camera pose at the start."""
+
+    @abstractmethod
+    def _onlooker(self) -> tuple[RigidTransform, list[tuple[Array, str]]]:
+        """From where the scene is shown to people, and marks there: points (n, 3) and colours' names."""
 
     def _actions(self) -> gym.spaces.Box:
         return motion_space(self.action_mode)
@@ -198,10 +202,6 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
             self._eye("picture", 640, 480), self.camera, self.actual, self.features, *self._onlooker()
         )
 
-    def _onlooker(self) -> tuple[RigidTransform, list[tuple[Array, str]]]:
-        """From where the scene is shown, and marks there: points (n, 3) and colours' names."""
-        raise NotImplementedError
-
     def _close_eyes(self) -> None:
         for eye in self._eyes.values():
             eye.close()
@@ -211,8 +211,3 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         """Free sensor and renderers."""
         self._sensor.close()
         self._close_eyes()
-
-    @property
-    def step_length(self) -> float:
-        """[m] of the longest step."""
-        return SPEED * DT

@@ -2,8 +2,6 @@
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Callable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -16,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 
 from extremal.estimator.errors import ExtremalError, InvalidInput
+from extremal.estimator.files import write_whole
 from extremal.sim.arm_errors import ARMS
 from extremal.tasks import ENVIRONMENTS
 from extremal.tasks.metrics import bootstrap_interval, normalised_score, wilson_interval
@@ -208,9 +207,4 @@ def leaderboard(path: Path, found: dict[str, Any]) -> list[dict[str, Any]]:
 
 def write_json(path: Path, content: Any) -> None:
     """All of it or nothing, even when the process is killed."""
-    with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, suffix=".tmp") as file:
-        json.dump(content, file, indent=1)
-        file.flush()
-        os.fsync(file.fileno())
-    os.chmod(file.name, 0o644)
-    os.replace(file.name, path)
+    write_whole(path, json.dumps(content, indent=1))

@@ -22,7 +22,7 @@ from extremal.tasks.answers import (
 from extremal.tasks.clearance import between, gap
 from extremal.tasks.environment import ActiveVisionEnv, Observation
 from extremal.tasks.inspect_setup import InspectSetup, InspectTruth, inspect_truth
-from extremal.tasks.spaces import REACH, SLOTS, motion_space
+from extremal.tasks.spaces import REACH, SLOTS, motion_space, slots
 from extremal.tasks.tiers import Tier
 
 SPHERE = 0.02  # [m] radius of the camera
@@ -117,7 +117,7 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         extra: Observation = {"query": np.clip(self._query / self.camera.width, -1, 2).astype(np.float32)}
         if self.obs_mode != "rgb":
             rows = np.zeros(SLOTS, np.float32)
-            order = np.lexsort((-self.features.views, ~self.features.visible))[:SLOTS]
+            order = slots(self.features)
             rows[: len(order)] = self._belongs()[order]
             extra["target"] = rows
         return extra
@@ -157,7 +157,7 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         weight = sigma**-2 / np.sum(sigma**-2)
         radius, least = float(weight @ f.best_radius[rows]), float(sigma.min())
         place = contact_from(
-            self.commanded.translation, weight @ f.position[rows], _unit(weight @ f.normal[rows]), radius
+            self.commanded.translation, weight @ f.position[rows], weight @ f.normal[rows], radius
         )
         return Answer(probability_extremal(radius, least), radius, least, place)
 
@@ -175,10 +175,6 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
 
 
 _SCORES = ("radius_error_mm", "place_error_mm", "label_right", "negative_log_likelihood", "quality")
-
-
-def _unit(vector: Array) -> Array:
-    return vector / max(float(np.linalg.norm(vector)), 1e-12)
 
 
 def _policys(values: Array) -> Answer:

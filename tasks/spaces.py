@@ -35,10 +35,14 @@ def feature_space() -> gym.spaces.Box:
     return gym.spaces.Box(lower, upper, dtype=np.float32)
 
 
+def slots(features: Features) -> NDArray[np.integer]:
+    """Which features, in order, an observation holds."""
+    return np.lexsort((-features.views, ~features.visible))[:SLOTS]
+
+
 def feature_rows(features: Features) -> NDArray[np.float32]:
     """Features as an observation; rows that are left over are zero: no looks."""
-    order = np.lexsort((-features.views, ~features.visible))[:SLOTS]
-    f = features.take(order)
+    f = features.take(slots(features))
     along = np.einsum(
         "ni,nij,nj->n", f.normal, np.where(np.isfinite(f.covariance), f.covariance, UNKNOWN**2), f.normal
     )

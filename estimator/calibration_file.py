@@ -4,7 +4,6 @@ The format is described in docs/calibration.md.
 """
 
 import json
-import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, fields
 from pathlib import Path
@@ -18,9 +17,10 @@ from extremal.estimator.calibration import MOST_PARAMETERS, Calibration, Simulat
 from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.files import write_whole
+from extremal.estimator.reading import read_toml, shown
 
 FORMAT = 1
-LARGEST_FILE = 4_000_000  # bytes
+LARGEST_FILE = 2_000_000  # bytes
 LARGEST_NUMBER = 1e9
 UNIT = 1e-6  # a quaternion's norm may be off 1 by this: it was rounded when written by hand
 
@@ -58,24 +58,9 @@ def load_calibration(path: str | Path) -> Calibration:
     """
     path = Path(path)
     try:
-        return _calibration(_Table(_parsed(path), "the file"))
+        return _calibration(_Table(read_toml(path, LARGEST_FILE), "the file"))
     except InvalidInput as error:
         raise InvalidInput(f"calibration {path.name}: {' '.join(str(error).split())}") from None
-
-
-def _parsed(path: Path) -> dict[str, Any]:
-    try:
-        if not path.is_file():
-            raise InvalidInput(f"there is no file {str(path)!r}")
-        if path.stat().st_size > LARGEST_FILE:
-            raise InvalidInput(f"{path.stat().st_size} bytes; accepted: up to {LARGEST_FILE}")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InvalidInput(f"malformed TOML: {error}") from None
-    except UnicodeError:
-        raise InvalidInput("not a text file; accepted: TOML in UTF-8") from None
-    except (OSError, RecursionError) as error:
-        raise InvalidInput(f"can't be read: {error}") from None
 
 
 def _text(calibration: Calibration) -> str:
@@ -123,7 +108,7 @@ class _Table:
 
     def __init__(self, values: Any, where: str) -> None:
         if not isinstance(values, dict):
-            raise InvalidInput(f"{where} is {values!r:.60}; accepted: a table")
+            raise InvalidInput(f"{where} is {shown(values)}; accepted: a table")
         self.values, self.where, self.known = dict(values), where, []
 
     def take(self, key: str, read: Callable[[Any, str], Any]) -> Any:
@@ -229,25 +214,25 @@ def _covariance(values: Any, where: str) -> tuple[list[str], np.ndarray]:
 def _number(value: Any, where: str) -> float:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not abs(value) <= LARGEST_NUMBER:  # NaN compares false
-        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a number within +-{LARGEST_NUMBER:g}")
+        raise InvalidInput(f"{where} is {shown(value)}; accepted: a number within +-{LARGEST_NUMBER:g}")
     return float(value)
 
 
 def _integer(value: Any, where: str) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 2**63:
-        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a whole number")
+        raise InvalidInput(f"{where} is {shown(value)}; accepted: a whole number")
     return value
 
 
 def _text_value(value: Any, where: str) -> str:
     if not isinstance(value, str) or not 1 <= len(value) <= 200 or not value.isprintable():
-        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a short text")
+        raise InvalidInput(f"{where} is {shown(value)}; accepted: a short text")
     return value
 
 
 def _list(value: Any, where: str) -> list[Any]:
     if not isinstance(value, list) or len(value) > 2 * MOST_PARAMETERS:
-        raise InvalidInput(f"{where} is {value!r:.60}; accepted: a list of up to {2 * MOST_PARAMETERS} items")
+        raise InvalidInput(f"{where} is {shown(value)}; accepted: a list of up to {2 * MOST_PARAMETERS} items")
     return value
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from extremal.estimator.errors import InvalidInput
+from extremal.estimator.reading import open_regular
 
 TAIL = 4096  # bytes from the end, among which the end of the image is looked for: some programs append notes
 
@@ -19,9 +20,9 @@ def image_header(path: Path) -> tuple[int, int, int]:
         InvalidInput: a file that can't be read, is neither PNG nor JPEG, or is cut off.
     """
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             header = _png(file) or _jpeg(file)
-    except (OSError, struct.error):
+    except (OSError, ValueError, struct.error):
         header = None
     if header is None or 0 in header:
         raise InvalidInput(

@@ -16,6 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.image_header import image_header
+from extremal.estimator.reading import read_bytes
 
 QUATERNION = ("image", "x", "y", "z", "qx", "qy", "qz", "qw")
 ROTATION_VECTOR = ("image", "x", "y", "z", "rx", "ry", "rz")
@@ -23,7 +24,9 @@ SUFFIXES = (".png", ".jpg", ".jpeg")
 FEWEST_VIEWS = 3
 MOST_VIEWS = 2000
 MOST_PIXELS = 100_000_000  # of an image
-MOST_PIXELS_TOGETHER = 4_000_000_000
+MOST_PIXELS_TOGETHER = 3_000_000_000  # they are kept, a byte each
+LARGEST_IMAGE = 400_000_000  # bytes
+MOST_SCANS = 100  # of a progressive JPEG, each of which takes a pass over the whole image
 LARGEST_TABLE = 10_000_000  # bytes
 FARTHEST = 10.0  # [m] no arm reaches further: the numbers are millimetres
 UNIT = 1e-3  # by how much a quaternion's norm may be off 1
@@ -48,9 +51,9 @@ def read_photographs(
     names, T_base_flange = read_poses(table)
     found = sorted(item.name for item in folder.iterdir() if item.suffix.lower() in SUFFIXES)
     _check_names(names, found, folder, table)
-    paths = [folder / name for name in names]
-    _check_sizes(paths)
-    return names, [_grey(path) for path in paths], T_base_flange
+    paths = [_within(folder, name) for name in names]
+    size = _check_sizes(paths)
+    return names, [_grey(path, size) for path in paths], T_base_flange
 
 
 def read_poses(path: str | Path) -> tuple[list[str], RigidTransform]:
@@ -72,6 +75,10 @@ def read_poses(path: str | Path) -> tuple[list[str], RigidTransform]:
                 f"{path.name}, line {line}: {len(cells)} values; accepted: {len(columns)}, as in the header"
             )
         name, *values = (cells[i].strip() for i in order)
+        if not name.isprintable() or Path(name).name != name:
+            raise InvalidInput(
+                f"{path.name}, line {line}: image is {name!r:.100}; accepted: the name of a file, without its folder"
+            )
         if name in names:
             raise InvalidInput(
                 f"{path.name}, line {line}: image {name!r:.100} has a row already, line {names[name]}; accepted: one row an image"
@@ -97,15 +104,12 @@ def write_poses(path: str | Path, names: Sequence[str], T_base_flange: RigidTran
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line numbers and cells of all rows that are not empty."""
-    if not path.is_file():
-        raise InvalidInput(f"there is no table of poses {str(path)!r}")
-    if path.stat().st_size > LARGEST_TABLE:
-        raise InvalidInput(f"{path.name} has {path.stat().st_size} bytes; accepted: up to {LARGEST_TABLE}")
+    content = read_bytes(path, LARGEST_TABLE)
     try:
-        text = path.read_text(encoding="utf-8-sig")
+        text = content.decode("utf-8-sig")
         reader = csv.reader(text.splitlines(), strict=True)
         rows = [(reader.line_num, cells) for cells in reader if any(cell.strip() for cell in cells)]
-    except (OSError, UnicodeError, csv.Error) as error:
+    except (UnicodeError, csv.Error) as error:
         raise InvalidInput(
             f"{path.name} can't be read: {' '.join(str(error).split()):.100}; accepted: a CSV table in UTF-8"
         ) from None
@@ -160,8 +164,15 @@ def _more(names: list[str]) -> str:
     return f" and {len(names) - 1} more" if len(names) > 1 else ""
 
 
-def _check_sizes(paths: list[Path]) -> None:
-    """By the files' headers: decoding an image that is too large would take the memory first."""
+def _within(folder: Path, name: str) -> Path:
+    path = (folder / name).resolve()
+    if not path.is_relative_to(folder.resolve()):
+        raise InvalidInput(f"{name} links to a file elsewhere; accepted: files in {str(folder)!r}")
+    return path
+
+
+def _check_sizes(paths: list[Path]) -> tuple[int, int]:
+    """Height and width of all, by the files' headers: decoding an image that is too large would take the memory first."""
     sizes = []
     for path in paths:
         width, height, bits = image_header(path)
@@ -182,14 +193,18 @@ def _check_sizes(paths: list[Path]) -> None:
             f"{len(paths)} images of {sizes[0][0]} x {sizes[0][1]} pixels; accepted: up to {MOST_PIXELS_TOGETHER // 10**6} "
             "megapixels together"
         )
+    return sizes[0][::-1]
 
 
-def _grey(path: Path) -> NDArray[np.uint8]:
+def _grey(path: Path, size: tuple[int, int]) -> NDArray[np.uint8]:
     flags = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    content = read_bytes(path, LARGEST_IMAGE)
+    if content.startswith(b"\xff") and content.count(b"\xff\xda") > MOST_SCANS:
+        raise InvalidInput(f"{path.name} has more than the accepted {MOST_SCANS} scans")
     try:
-        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), flags)
-    except (OSError, cv2.error):
+        image = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except (MemoryError, cv2.error):
         image = None
-    if image is None:
+    if image is None or image.shape != size:
         raise InvalidInput(f"{path.name} can't be decoded; accepted: PNG and JPEG files that are whole")
     return np.asarray(image, np.uint8)

@@ -94,7 +94,7 @@ class _Problem:
 
     def solve(self) -> tuple[np.ndarray, Array, Array, Array]:
         trials = self.trials()
-        scores = np.array([self.score(j) for j in trials])
+        scores = self.scores(trials)
         fixed = np.zeros(len(self.radius), bool)
         fixed[trials[np.argmax(scores)]] = True
         for _ in range(ROUNDS):
@@ -127,19 +127,18 @@ class _Problem:
         rank = np.arange(len(order)) - first  # within its contour, the best known first
         return order[np.argsort(rank, kind="stable")][:TRIALS]
 
-    def score(self, j: int) -> float:
-        """Log likelihood of all radii if feature j is fixed."""
-        variance_j = self.own[j] + self.shared[j] @ self.shared[j]
-        common = self.shared @ self.shared[j]
-        mean = self.radius - common * self.radius[j] / variance_j
-        variance = self.own + np.sum(self.shared**2, axis=1) - common**2 / variance_j
-        others = np.logaddexp(*self.densities(mean, variance))
-        others[j] = 0.0
-        own = np.log(self.prior[j]) - 0.5 * self.radius[j] ** 2 / variance_j - 0.5 * np.log(variance_j)
-        return float(np.sum(others) / self.overlap + own)
+    def scores(self, trials: np.ndarray) -> Array:
+        """Log likelihood (T,) of all radii if the feature of each of the trials (T,) is fixed."""
+        radius, total = self.radius[trials], self.own + np.sum(self.shared**2, axis=1)
+        common = self.shared[trials] @ self.shared.T
+        gain = common / total[trials, None]
+        others = np.logaddexp(*self.densities(self.radius - gain * radius[:, None], total - gain * common))
+        others[np.arange(len(trials)), trials] = 0.0
+        own = np.log(self.prior[trials]) - 0.5 * radius**2 / total[trials] - 0.5 * np.log(total[trials])
+        return np.sum(others, axis=1) / self.overlap + own
 
     def densities(self, mean: Array, variance: Array) -> tuple[Array, Array]:
-        """Log of prior times density (n,) of the radius of a fixed feature and of any other."""
+        """Log of prior times density (..., n) of the radius of a fixed feature and of any other."""
         zero = -0.5 * mean**2 / variance - 0.5 * np.log(2 * np.pi * variance)
         wide = np.hypot(BROAD, np.sqrt(variance))
         free = -np.log(np.pi * wide * (1 + (mean / wide) ** 2))

@@ -23,7 +23,7 @@ from extremal.estimator.joint import sections_of
 from extremal.estimator.matching import EdgelMap, cross, reach_of
 from extremal.estimator.poses import square_root
 from extremal.estimator.references import bootstrap
-from extremal.estimator.tracking import GATE, LEAST_GATE, PARALLEL, track
+from extremal.estimator.tracking import GATE, LEAST_GATE, NEAREST, PARALLEL, track
 
 ROUGH = 0.04  # of the distance: sigma of a depth from the first views
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
@@ -65,17 +65,18 @@ class SequentialShape:
         started: whether there are tracks.
     """
 
-    def __init__(self, start: int = 5, baseline: float = 0.02) -> None:
+    def __init__(self, start: int = 5, baseline: float = 0.02, nearest: float = NEAREST) -> None:
         """
         Args:
             start: number of views, at least 3, and baseline: way of the camera [m], that have to be seen before tracks start.
                 Until then a view from where the last one was is left out.
+            nearest: depth [m] from which on contours are looked for.
         """
         if start < LEAST_VIEWS or not baseline > SHORTEST_BASELINE:
             raise InvalidInput(
                 f"start is {start!r}, baseline {baseline!r}; accepted: from {LEAST_VIEWS} views, above {SHORTEST_BASELINE} m"
             )
-        self._start, self._baseline = start, baseline
+        self._start, self._baseline, self._nearest = start, baseline, nearest
         self._waiting: list[tuple[View, Contours]] = []
         self.started = False
 
@@ -89,13 +90,13 @@ class SequentialShape:
         self._require_tracks()
         self._filter.fixed = fixed
 
-    def update(self, view: View) -> None:
-        """Take in a view; its pose covariance must have the same rank as those before it.
+    def update(self, view: View, contours: Contours | None = None) -> None:
+        """Take in a view, and its contours where they are known; its pose covariance must have the same rank as those before it.
 
         Raises InvalidInput for a pose covariance that is not positive semi-definite.
         """
         with threadpool_limits(1, "blas"):
-            contours = find_contours(view.image, view.camera)
+            contours = contours or find_contours(view.image, view.camera)
             if self.started:
                 self._follow(view, contours)
                 return
@@ -120,7 +121,7 @@ class SequentialShape:
         sequence = Sequence3D.of(views)
         self._reach, self._travel, middle = reach_of(sequence), sequence.travel, len(views) // 2
         maps = [EdgelMap(c, v.camera.width, v.camera.height, self._reach) for v, c in self._waiting]
-        tracks = track(sequence, contours, maps, middle)
+        tracks = track(sequence, contours, maps, middle, self._nearest)
         fit = fit_circles(views, sequence, tracks)
         chosen = np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
         sections = sections_of(sequence, tracks, fit, chosen)

@@ -63,15 +63,21 @@ class Tracks:
     curvature: Array
 
 
-def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], reference: int) -> Tracks:
-    """Tracks of the edgels of the reference view whose contour crosses their epipolar plane."""
+def track(
+    sequence: Sequence3D,
+    contours: list[Contours],
+    maps: list[EdgelMap],
+    reference: int,
+    nearest: float = NEAREST,
+) -> Tracks:
+    """Tracks of the edgels of the reference view whose contour crosses their epipolar plane, from a depth `nearest` [m] on."""
     edgels = contours[reference]
     rays = sequence.rays(reference, edgels.positions)
     planes = EpipolarPlanes.through(sequence.centres[reference], sequence.travel, rays)
     tangent_planes, tilt, sigma = in_plane_sigma(
         sequence, reference, edgels.positions, edgels.normals, rays, planes, edgels.sigma
     )
-    depth, found = _sweep(sequence, contours, maps, reference, rays)
+    depth, found = _sweep(sequence, contours, maps, reference, rays, nearest)
     chosen = np.flatnonzero(found & np.isfinite(planes.normal[:, 0]))
     planes, rays, depth = planes.take(chosen), rays[chosen], depth[chosen]
     loose = np.abs(tilt[chosen]) < PARALLEL
@@ -130,14 +136,19 @@ def track(sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], 
 
 
 def _sweep(
-    sequence: Sequence3D, contours: list[Contours], maps: list[EdgelMap], reference: int, rays: Array
+    sequence: Sequence3D,
+    contours: list[Contours],
+    maps: list[EdgelMap],
+    reference: int,
+    rays: Array,
+    nearest: float,
 ) -> tuple[Array, np.ndarray]:
     """Depth (n,) [m] along each ray at which the nearest views show most edges, and whether they do."""
     centre = sequence.centres[reference]
     views = sequence.neighbours(reference)[:SWEEP_VIEWS]
     farthest = max(np.linalg.norm(sequence.centres[v] - centre) for v in views)
-    disparity = sequence.cameras[reference].fx * farthest * (1 / NEAREST - 1 / FARTHEST)
-    inverse = np.linspace(1 / FARTHEST, 1 / NEAREST, int(np.clip(disparity / SWEEP_STEP, 32, 1024)))
+    disparity = sequence.cameras[reference].fx * farthest * (1 / nearest - 1 / FARTHEST)
+    inverse = np.linspace(1 / FARTHEST, 1 / nearest, int(np.clip(disparity / SWEEP_STEP, 32, 1024)))
     direction = contours[reference].normals @ sequence.rotations[reference][:, :2].T
     # a point at inverse depth w projects like p + w (v_ref - v_view): linear in w
     score = np.zeros((len(rays), len(inverse)), np.float32)

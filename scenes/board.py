@@ -19,7 +19,7 @@ from extremal.scenes.curves import (
     check_colour,
     check_length,
 )
-from extremal.scenes.grids import grid_triangles, used_only
+from extremal.scenes.grids import MEASURED, Facets, grid_triangles, used_only
 from extremal.scenes.markings import FACES
 from extremal.scenes.surface import Surface
 
@@ -108,7 +108,7 @@ class CalibrationBoard(Surface):
             curves.append(SurfaceCurve(name, self.name, "marking", points, normals, visible))
         return curves
 
-    def _pieces(self) -> list[Piece]:
+    def _pieces(self, facets: Facets = MEASURED) -> list[Piece]:
         """The ink, and the paper with the other faces; on the printed face both share the nodes of one grid: no seams."""
         x, y, black = self._cells
         grid = np.stack([*np.meshgrid(x, y), np.zeros((len(y), len(x)))], axis=-1).reshape(-1, 3)

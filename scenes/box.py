@@ -9,7 +9,7 @@ import numpy as np
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Array, Kind, Piece, SurfaceCurve, arc_samples, check_length
-from extremal.scenes.grids import distinct, grid_triangles, used_only
+from extremal.scenes.grids import MEASURED, Facets, distinct, grid_triangles, used_only
 from extremal.scenes.markings import FACES, BoxPatch, Face, check_markings
 from extremal.scenes.surface import Surface
 
@@ -113,7 +113,7 @@ class Box(Surface):
             f"{self.name}/{label}", self.name, kind, points, normals, np.ones(count, bool), second
         )
 
-    def _pieces(self) -> list[Piece]:
+    def _pieces(self, facets: Facets = MEASURED) -> list[Piece]:
         """Every face cut along its markings' bounds; one piece a colour and face."""
         return [piece for face in FACES for piece in self._face_pieces(face)]
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from extremal.estimator.errors import SceneError
 
 Array = NDArray[np.floating]
+MOST_SAMPLES = 50_000  # of a curve: 20 m and more would take the memory
 Kind = Literal["extremal", "crease", "marking"]
 Colour = tuple[float, float, float, float]
 
@@ -80,5 +81,5 @@ def check_length(what: str, value: float) -> None:
 
 
 def arc_samples(length: float, spacing: float = 5e-4) -> int:
-    """Number of points on a curve of `length` [m] so that neighbours are at most `spacing` [m] apart."""
-    return max(2, int(np.ceil(length / spacing)) + 1)
+    """Number of points on a curve of `length` [m] so that neighbours are at most `spacing` [m] apart, or of `MOST_SAMPLES`."""
+    return min(max(2, int(np.ceil(length / spacing)) + 1), MOST_SAMPLES)

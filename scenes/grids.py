@@ -1,15 +1,49 @@
 """Parameter grids whose facets stay within a chord error, and their triangles."""
 
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from extremal.estimator.errors import InvalidInput
 from extremal.scenes.curves import Array
 
 # Chord error [m] accepted along curved directions: 0.0015 px at 0.5 m with f = 800 px.
 CHORD = 9.4e-7
-COLUMNS = 1024
+
+
+@dataclass(frozen=True)
+class Facets:
+    """How finely curved surfaces are cut into triangles.
+
+    Attributes:
+        columns: around a lathe; of other shapes as many at most, and half as many rows.
+        rows: of a lathe, at most.
+        chord: error [m] of a facet across the rows, where these numbers allow it; around: across the columns of other
+            shapes than lathes.
+    """
+
+    columns: int = 1024
+    rows: int = 256
+    chord: float = CHORD
+    around: float = 2e-7
+
+    def __post_init__(self) -> None:
+        for name, least in (("columns", 16), ("rows", 8)):
+            if not (isinstance(getattr(self, name), int) and least <= getattr(self, name) <= 4096):
+                raise InvalidInput(
+                    f"facets' {name} is {getattr(self, name)!r}; accepted: a whole number from {least} to 4096"
+                )
+        for name in ("chord", "around"):
+            if not 1e-9 <= getattr(self, name) <= 1e-2:
+                raise InvalidInput(f"facets' {name} is {getattr(self, name)!r}; accepted: 1e-9 to 0.01 m")
+
+
+MEASURED = Facets()  # facets masquerade as curvature: what is measured finely needs these
+# For frames of quality `preview`, whose edges are off by 0.03 to 0.06 px: a third of the vertices, which take most of a frame's
+# time, and edges that differ by 0.01 px from view to view at 0.14 m, by less from farther away.
+QUICK = Facets(448, 192, 2e-6, 4e-6)
 
 
 def adaptive_grid(
@@ -37,7 +71,7 @@ def adaptive_grid(
     return np.concatenate(rows)
 
 
-def azimuths(bounds: Array, columns: int = COLUMNS) -> Array:
+def azimuths(bounds: Array, columns: int) -> Array:
     """Angles (N,) from 0 up to 2 pi (excluded) that include `bounds` (B,) [rad] exactly.
 
     Regular columns nearer than a tenth of the spacing to a bound give way to it.

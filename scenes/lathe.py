@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Array, Kind, Piece, SurfaceCurve, arc_samples
+from extremal.scenes.grids import MEASURED, Facets
 from extremal.scenes.lathe_mesh import lathe_pieces
 from extremal.scenes.markings import LathePatch, check_markings
 from extremal.scenes.profile import Profile
@@ -181,8 +182,8 @@ class Lathe(Surface):
             f"{self.name}/{label}", self.name, kind, points, normals, np.ones(count, bool), other
         )
 
-    def _pieces(self) -> list[Piece]:
-        return lathe_pieces(self.profile, self.appearance.rgba, self.markings)
+    def _pieces(self, facets: Facets = MEASURED) -> list[Piece]:
+        return lathe_pieces(self.profile, self.appearance.rgba, self.markings, facets)
 
 
 def _intervals(q: Callable[[Array], Array], height: float) -> list[tuple[float, float, bool, bool]]:

@@ -3,16 +3,18 @@
 import numpy as np
 
 from extremal.scenes.curves import Array, Colour, Piece
-from extremal.scenes.grids import adaptive_grid, azimuths, distinct, grid_triangles, used_only
+from extremal.scenes.grids import Facets, adaptive_grid, azimuths, distinct, grid_triangles, used_only
 from extremal.scenes.markings import LathePatch
 from extremal.scenes.profile import Profile
 
 
-def lathe_pieces(profile: Profile, rgba: Colour, markings: tuple[LathePatch, ...]) -> list[Piece]:
+def lathe_pieces(
+    profile: Profile, rgba: Colour, markings: tuple[LathePatch, ...], facets: Facets
+) -> list[Piece]:
     """One piece a colour of the side, with exact vertices and smooth normals along the seams, and the caps."""
-    z = _rows(profile, np.array([v for m in markings for v in (m.bottom, m.top)]))
+    z = _rows(profile, np.array([v for m in markings for v in (m.bottom, m.top)]), facets)
     edges = [m.start + offset for m in markings if not m.is_band for offset in (0.0, m.width)]
-    theta = azimuths(np.array(edges))
+    theta = azimuths(np.array(edges), facets.columns)
     r, r1, _ = profile.derivatives(z)
     cos, sin = np.cos(theta), np.sin(theta)
     shape = (len(z), len(theta))
@@ -44,11 +46,12 @@ def lathe_pieces(profile: Profile, rgba: Colour, markings: tuple[LathePatch, ...
     return [*pieces, _cap(vertices[: len(theta)], -1, rgba), _cap(vertices[-len(theta) :], 1, rgba)]
 
 
-def _rows(profile: Profile, bounds: Array) -> Array:
+def _rows(profile: Profile, bounds: Array, facets: Facets) -> Array:
     samples = np.linspace(0, profile.height, 4001)
     _, r1, r2 = profile.derivatives(samples)
     bending = np.abs(r2) / np.sqrt(1 + r1 * r1)
-    return adaptive_grid(samples, bending, distinct(np.concatenate([[0, profile.height], bounds])))
+    bounds = distinct(np.concatenate([[0, profile.height], bounds]))
+    return adaptive_grid(samples, bending, bounds, facets.rows, facets.chord)
 
 
 def _cap(ring: Array, up: int, rgba: Colour) -> Piece:

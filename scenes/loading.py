@@ -1,7 +1,6 @@
 """Scenes read from TOML: the presets and files that users write."""
 
 import math
-import tomllib
 from collections.abc import Callable
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from extremal.estimator.errors import SceneError
+from extremal.estimator.errors import InvalidInput, SceneError
+from extremal.estimator.reading import read_toml, shown
 from extremal.scenes.box import Box
 from extremal.scenes.curves import Appearance
 from extremal.scenes.lathe import Lathe
@@ -21,7 +21,8 @@ from extremal.scenes.scene import Background, Light, Scene
 from extremal.scenes.superquadric import Superquadric
 from extremal.scenes.surface import Surface
 
-LARGEST_FILE = 2_000_000  # bytes
+LARGEST_FILE = 1_000_000  # bytes
+MOST_CURVED = 20  # objects; cut finely into facets, each may take 130 MB and half a second
 LARGEST_NUMBER = 1e4  # no length, angle in degrees or strength in a scene is larger
 
 
@@ -51,19 +52,9 @@ def load_scene(name_or_path: str | Path) -> Scene:
 
 def _read(path: Path) -> Scene:
     try:
-        if not path.is_file():
-            raise SceneError(f"scene file {str(path)!r} does not exist")
-        if path.stat().st_size > LARGEST_FILE:
-            raise SceneError(f"scene file {str(path)!r} is larger than {LARGEST_FILE} bytes")
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise SceneError(f"{path.name}: malformed TOML: {_one_line(error)}") from None
-    except (OSError, UnicodeError, ValueError, RecursionError) as error:
-        raise (
-            error
-            if isinstance(error, SceneError)
-            else SceneError(f"scene file {str(path)!r} cannot be read: {_one_line(error)}")
-        ) from None
+        table = read_toml(path, LARGEST_FILE)
+    except InvalidInput as error:
+        raise SceneError(f"scene file {str(path)!r}: {_one_line(error)}") from None
     try:
         return _scene(_Table(table, "scene"), path)
     except SceneError as error:
@@ -79,7 +70,7 @@ class _Table:
 
     def __init__(self, values: Any, where: str) -> None:
         if not isinstance(values, dict):
-            raise SceneError(f"{where} is {values!r:.60}; accepted: a table")
+            raise SceneError(f"{where} is {shown(values)}; accepted: a table")
         self.values, self.where, self.known = dict(values), where, []
 
     def take(self, key: str, read: Callable[[Any, str], Any], default: Any = ...) -> Any:
@@ -109,19 +100,19 @@ class _Table:
 def _number(value: Any, where: str) -> float:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if not is_number or not abs(value) <= LARGEST_NUMBER:  # NaN compares false
-        raise SceneError(f"{where} is {value!r:.60}; accepted: a number within +-{LARGEST_NUMBER:g}")
+        raise SceneError(f"{where} is {shown(value)}; accepted: a number within +-{LARGEST_NUMBER:g}")
     return float(value)
 
 
 def _text(value: Any, where: str) -> str:
     if not isinstance(value, str) or not 1 <= len(value) <= 200 or not value.isprintable():
-        raise SceneError(f"{where} is {value!r:.60}; accepted: a short text")
+        raise SceneError(f"{where} is {shown(value)}; accepted: a short text")
     return value
 
 
 def _list(value: Any, where: str) -> list:
     if not isinstance(value, list):
-        raise SceneError(f"{where} is {value!r:.60}; accepted: a list")
+        raise SceneError(f"{where} is {shown(value)}; accepted: a list")
     if len(value) > MOST_MARKINGS:
         raise SceneError(f"{where} has {len(value)} items; accepted: up to {MOST_MARKINGS}")
     return value
@@ -162,6 +153,9 @@ def _scene(table: _Table, path: Path) -> Scene:
         lights.append(Light(**values))
     objects = [_object(item, path.resolve().parent) for item in table.tables("objects")]
     table.done()
+    curved = sum(not isinstance(surface, Box) for surface in objects)
+    if curved > MOST_CURVED:
+        raise SceneError(f"the scene has {curved} objects that are no boxes; accepted: up to {MOST_CURVED}")
     return Scene(tuple(objects), tuple(lights), Background(sky), target, name)  # pyright: ignore[reportArgumentType]
 
 

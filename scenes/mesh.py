@@ -1,7 +1,9 @@
 """Triangle meshes taken as samples of a smooth surface."""
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -10,16 +12,18 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
-from extremal.estimator.errors import SceneError
+from extremal.estimator.errors import InvalidInput, SceneError
+from extremal.estimator.reading import read_bytes
 from extremal.scenes.curves import Array, Piece, SurfaceCurve
+from extremal.scenes.grids import MEASURED, Facets
 from extremal.scenes.mesh_contour import zero_polylines
 from extremal.scenes.surface import Surface
 
 MOST_FACES = 200_000
 LARGEST_FILE = 50_000_000  # bytes
-# What the parsers of mesh files were seen to raise on damaged ones.
-UNREADABLE = (ArithmeticError, AssertionError, AttributeError, LookupError, OSError, TypeError, ValueError)
+SMALLEST = 1e-4  # [m]
 FORMATS = (".obj", ".off", ".ply", ".stl")
+OBJ_LINES = re.compile(rb"^[ \t]*(?:v|vt|vn|f)[ \t].*$", re.MULTILINE)  # no materials, which name other files
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,15 +61,14 @@ class Mesh(Surface):
         path = Path(path)
         if path.suffix.lower() not in FORMATS:
             raise SceneError(f"mesh file is {path.name!r}; accepted: {', '.join(FORMATS)}")
-        if not path.is_file():
-            raise SceneError(f"mesh file {path.name!r} does not exist")
-        if path.stat().st_size > LARGEST_FILE:
-            raise SceneError(f"mesh file {path.name!r} is larger than {LARGEST_FILE} bytes")
         try:
-            mesh = trimesh.load(path, force="mesh", skip_materials=True)
-            mesh.merge_vertices(merge_tex=True, merge_norm=True)  # pyright: ignore[reportAttributeAccessIssue]
-            vertices, faces = np.array(mesh.vertices, float) * scale, np.array(mesh.faces)  # pyright: ignore[reportAttributeAccessIssue]
-        except UNREADABLE as error:
+            content = read_bytes(path, LARGEST_FILE)
+        except InvalidInput as error:
+            raise SceneError(f"mesh file {error}") from None
+        try:
+            mesh = _parsed(content, path.suffix.lower()[1:])
+            vertices, faces = np.array(mesh.vertices, float) * scale, np.array(mesh.faces)
+        except Exception as error:  # parsers raise anything on damaged files
             raise SceneError(f"mesh file {path.name!r} cannot be read: {error!r:.80}") from None
         return cls(vertices, faces, **common)
 
@@ -73,10 +76,16 @@ class Mesh(Surface):
         vertices, faces = np.asarray(self.vertices, float), np.asarray(self.faces)
         if vertices.ndim != 2 or vertices.shape[1:] != (3,) or not np.all(np.abs(vertices) <= 100):
             raise SceneError(f"{self.name}: vertices must be (V, 3) finite numbers within 100 m")
+        if len(vertices) and not np.ptp(vertices, axis=0).max() >= SMALLEST:
+            size = float(np.ptp(vertices, axis=0).max())
+            raise SceneError(f"{self.name}: the mesh is {size:.3g} m long; accepted: {SMALLEST} to 200 m")
         if faces.ndim != 2 or faces.shape[1:] != (3,) or not np.issubdtype(faces.dtype, np.integer):
             raise SceneError(f"{self.name}: faces are {faces.dtype} {faces.shape}; accepted: integers (F, 3)")
         if not 4 <= len(faces) <= MOST_FACES or faces.min() < 0 or faces.max() >= len(vertices):
-            raise SceneError(f"{self.name}: accepted: 4 to {MOST_FACES} faces that refer to the vertices")
+            raise SceneError(
+                f"{self.name}: the mesh has {len(faces)} faces of {len(vertices)} vertices; accepted: 4 to {MOST_FACES} faces "
+                "that refer to the vertices"
+            )
         if not (self._mesh.is_watertight and self._mesh.is_winding_consistent and self._mesh.volume > 0):
             raise SceneError(
                 f"{self.name}: the mesh must be closed, with faces counter-clockwise from outside"
@@ -195,7 +204,20 @@ class Mesh(Surface):
     def _fixed(self) -> list[SurfaceCurve]:
         return []
 
-    def _pieces(self) -> list[Piece]:
+    def _pieces(self, facets: Facets = MEASURED) -> list[Piece]:
         return [
             Piece(np.array(self._mesh.vertices), self._vertex_normals, self._mesh.faces, self.appearance.rgba)
         ]
+
+
+def _parsed(content: bytes, kind: str) -> trimesh.Trimesh:
+    """The triangles of a file whose suffix is `kind`: from these bytes alone, no other file is looked at."""
+    if kind == "obj":
+        content = b"\n".join(OBJ_LINES.findall(content.replace(b"\\\n", b" ").replace(b"\r\n", b"\n")))
+    with np.errstate(all="ignore"):
+        mesh = trimesh.load_mesh(BytesIO(content), file_type=kind, process=False, skip_materials=True)
+    # A number that is not finite is an error, and not, as in trimesh's own processing, a face less.
+    if not np.all(np.isfinite(mesh.vertices)):
+        raise ValueError("a vertex is not finite")
+    mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    return mesh

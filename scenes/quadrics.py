@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from extremal.scenes.curves import Array, Piece, SurfaceCurve, arc_samples, check_length
+from extremal.scenes.grids import MEASURED, Facets
 from extremal.scenes.radial_mesh import radial_piece
 from extremal.scenes.surface import Surface, tangent_basis
 
@@ -93,12 +94,13 @@ class _Quadric(Surface):
     def _fixed(self) -> list[SurfaceCurve]:
         return []
 
-    def _pieces(self) -> list[Piece]:
+    def _pieces(self, facets: Facets = MEASURED) -> list[Piece]:
         return [
             radial_piece(
                 lambda d: d * self._axes / np.linalg.norm(d, axis=-1, keepdims=True),
                 lambda p: self._frame(p)[0],
                 self.appearance.rgba,
+                facets,
             )
         ]
 

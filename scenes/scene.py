@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Array, SurfaceCurve
+from extremal.scenes.grids import MEASURED, Facets
 from extremal.scenes.matching import Truth, match
 from extremal.scenes.mjcf import Spec, add_light, empty_world
 from extremal.scenes.surface import Surface
@@ -82,13 +83,13 @@ class Scene:
         """The object called `name`; KeyError if there is none."""
         return {surface.name: surface for surface in self.objects}[name]
 
-    def to_spec(self) -> Spec:
-        """The scene as a MuJoCo model: no shadows, no headlight, no floor plane, no camera."""
+    def to_spec(self, facets: Facets = MEASURED) -> Spec:
+        """The scene as a MuJoCo model, curved surfaces cut into facets: no shadows, no headlight, no floor plane, no camera."""
         spec = empty_world(self.name, self.background.sky)
         for i, light in enumerate(self.lights):
             add_light(spec, f"light{i}", light.direction, light.diffuse, light.ambient, light.specular)
         for surface in self.objects:
-            surface.add_to(spec)
+            surface.add_to(spec, facets)
         return spec
 
     def true_edges(self, centre: ArrayLike) -> list[SurfaceCurve]:

@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Array, Piece, SurfaceCurve, arc_samples, check_length
+from extremal.scenes.grids import MEASURED, Facets
 from extremal.scenes.radial_mesh import radial_piece
 from extremal.scenes.surface import Surface, tangent_basis
 
@@ -155,12 +156,13 @@ class Superquadric(Surface):
     def _fixed(self) -> list[SurfaceCurve]:
         return []
 
-    def _pieces(self) -> list[Piece]:
+    def _pieces(self, facets: Facets = MEASURED) -> list[Piece]:
         return [
             radial_piece(
                 lambda d: d / self._gauge(d)[0][..., None],
                 lambda p: self._frame(p)[0],
                 self.appearance.rgba,
+                facets,
             )
         ]
 

@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.errors import SceneError
 from extremal.scenes.curves import Appearance, Array, Piece, SurfaceCurve
+from extremal.scenes.grids import MEASURED, Facets
 from extremal.scenes.mjcf import Spec, add_pieces
 
 
@@ -87,8 +88,8 @@ class Surface(ABC):
         """Creases and outlines of markings, in the object frame, `visible` all true."""
 
     @abstractmethod
-    def _pieces(self) -> list[Piece]:
-        """The meshes that stand for the object in MuJoCo."""
+    def _pieces(self, facets: Facets = MEASURED) -> list[Piece]:
+        """The meshes that stand for the object in MuJoCo, curved sides cut into facets."""
 
     # Frames.
 
@@ -238,9 +239,9 @@ class Surface(ABC):
                 break
         return self._world(p)
 
-    def add_to(self, spec: Spec) -> None:
+    def add_to(self, spec: Spec, facets: Facets = MEASURED) -> None:
         """Add the object to a MuJoCo model: one fixed body, one visual mesh geom a colour."""
-        add_pieces(spec, self.name, self.T_world_object, self.appearance, self._pieces())
+        add_pieces(spec, self.name, self.T_world_object, self.appearance, self._pieces(facets))
 
 
 def tangent_basis(normals: Array) -> tuple[Array, Array]:

@@ -19,6 +19,7 @@ from extremal.scripts.joint_study import joint_study, study_table
 from extremal.scripts.look_study import look_study, look_table, ray_accuracy, ray_table
 from extremal.scripts.output import output_folder
 from extremal.scripts.rendered_study import rendered_study, rendered_table
+from extremal.scripts.report import Report, pipe_table
 from extremal.scripts.spatial_study import spatial_study
 
 Study = Literal["rays", "looks", "edges", "planar", "space", "rendered", "general", "limits", "egomotion"]
@@ -28,7 +29,7 @@ POINTS = 10  # of an object, in the study of general motion
 
 @dataclass(frozen=True)
 class AccuracySettings:
-    """Measure accuracy on rays, tangent planes and rendered frames; writes accuracy.md and accuracy.json.
+    """Measure accuracy on rays, tangent planes and rendered frames; writes report.html, accuracy.md and accuracy.json.
 
     rays: circles from exact rays. looks: rendered frames, exact poses. edges: localisation alone. planar, space: joint
     estimation with pose errors of 1 mm and 1 mrad against other methods and the Cramer-Rao bound. rendered: the same on
@@ -69,8 +70,18 @@ def accuracy(settings: AccuracySettings) -> None:
             tables.append(f"## {study}\n\n{table}")
         (folder / "accuracy.json").write_text(json.dumps(content, indent=1) + "\n")
         (folder / "accuracy.md").write_text("\n\n".join(tables) + "\n")
+        _report(settings, tables).save(folder / "report.html")
     console.print("\n\n".join(tables), soft_wrap=True, markup=False)
-    console.print(f"wrote {settings.out}/: accuracy.md and accuracy.json")
+    console.print(f"wrote {settings.out}/: report.html, accuracy.md and accuracy.json")
+
+
+def _report(settings: AccuracySettings, tables: Sequence[str]) -> Report:
+    """The tables, each of them "## study", a blank line, and a table in Markdown."""
+    report = Report("extremal accuracy", f"{settings.seeds} random vases, {settings.trials} trials a row")
+    for text in tables:
+        title, _, table = text.partition("\n\n")
+        report.section(title.removeprefix("## ")).table(pipe_table(table))
+    return report.section("How it was made").settings(asdict(settings))
 
 
 def _run(study: Study, settings: AccuracySettings, progress: Callable[[int, int], None]) -> tuple[Any, str]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -28,6 +28,7 @@ from extremal.estimator.poses import pose_log
 from extremal.estimator.projection import INTRINSICS, intrinsics
 from extremal.scenes import Scene
 from extremal.scenes.scene import Background, Light
+from extremal.scripts.calibrate_report import calibrate_report
 from extremal.scripts.calibration_picture import draw_calibration
 from extremal.scripts.output import output_folder
 from extremal.sim import Recording, get_arm, record
@@ -72,7 +73,7 @@ class CalibrateSettings:
     frames: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None
     """also keep the simulated frames and poses.csv, in the format of --images and --poses"""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")] = Path("calibration.toml")
-    """what is written; calibration.png, and in simulation calibration.json, go beside it"""
+    """what is written; report.html, calibration.png, and in simulation calibration.json, go beside it"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,18 +98,22 @@ def calibrate(settings: CalibrateSettings) -> None:
     board = Board(*settings.board, settings.square, marker, settings.dictionary)
     with output_folder(settings.out.parent) as folder:
         if settings.images is not None and settings.poses is not None:
-            fit, errors = _from_photographs(settings, board, settings.images, settings.poses, console), None
+            fit, images = _from_photographs(settings, board, settings.images, settings.poses, console)
+            errors = None
         else:
             fit, truth, recording = simulated_calibration(settings, board, console)
-            errors = calibration_errors(fit, truth)
+            errors, images = calibration_errors(fit, truth), [view.image for view in recording.views]
             (folder / "calibration.json").write_text(json.dumps(errors, indent=1) + "\n")
             if settings.frames is not None:
                 _keep(settings.frames, recording)
         save_calibration(fit.calibration, folder / settings.out.name)
         draw_calibration(fit, folder / "calibration.png")
-    console.print(_table(fit))
-    console.print(_summary(fit, errors))
-    beside = "calibration.png" + (" and calibration.json" if errors else "")
+        table, summary = _table(fit), _summary(fit, errors)
+        report = calibrate_report(fit, images, table, summary, asdict(settings))
+        report.save(folder / "report.html")
+    console.print(table)
+    console.print(summary)
+    beside = "report.html, calibration.png" + (" and calibration.json" if errors else "")
     console.print(f"wrote {settings.out}, {beside} beside it")
 
 
@@ -158,14 +163,14 @@ def simulated_calibration(
 
 def _from_photographs(
     settings: CalibrateSettings, board: Board, images: Path, poses: Path, console: Console
-) -> CalibrationFit:
+) -> tuple[CalibrationFit, list[np.ndarray]]:
     _, photographs, T_base_flange = read_photographs(images, poses)
     height, width = photographs[0].shape[:2]
     corners = _corners(photographs, None, board, console)
     errors = get_arm(settings.arm)
     position, rotation = max(errors.position, 1e-5), max(errors.rotation, 1e-5)
     flange = fixed_poses(T_base_flange, position, rotation)
-    return fit_calibration(board, corners, flange, (width, height), scale_view_errors=True)
+    return fit_calibration(board, corners, flange, (width, height), scale_view_errors=True), photographs
 
 
 def _corners(

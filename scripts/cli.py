@@ -9,17 +9,22 @@ from importlib import import_module, metadata
 from inspect import signature
 from typing import Any
 
-# A command `name` is the function `name(settings: SomeDataclass)` of the module `extremal.scripts.name`.
+# A command `name` is the function `name(settings: SomeDataclass)` of the module `extremal.scripts.name`, but for MODULES.
 COMMANDS = {
     "look": "look at a scene: from rendered frames to curvature with its uncertainty, beside the truth",
+    "strip": "the strip of surface that extremal boundaries sweep, continued beyond, and checked in unseen views",
+    "reconstruct": "a whole object from contours seen from all around, beside a visual hull and stereo",
     "calibrate": "calibrate camera, hand-eye transform and arm by a board, simulated or from your own photographs",
     "accuracy": "measure accuracy over random vases, lights and noise; makes the tables of docs/accuracy.md",
     "navigate": "one episode around a curved obstacle, with a film and its scores",
     "grasp": "one episode of lifting a vase by the side that was not seen, with a film and its scores",
     "evaluate": "how well a policy does in a task: success over test episodes, with confidence intervals",
+    "sweep": "many trials over grids and random draws of any setting; goes on after whatever has killed it",
+    "report": "plots of a sweep with confidence intervals",
     "sensitivity": "show what errors of edges and egomotion do to R: figures 3.11 and 3.12 of the book",
     "doctor": "whether offscreen rendering works here, how exactly and how fast; if not, what to install",
 }
+MODULES = {"report": "sweep_report"}  # the module `report` is what all reports are made of
 USAGE_ERROR = 2
 INTERRUPTED = 130
 
@@ -52,7 +57,7 @@ def run(arguments: Sequence[str]) -> int:
         _complain(f"unknown command {name!r}; accepted: {', '.join(COMMANDS)}, --help, --version")
         return USAGE_ERROR
     _import_mujoco()
-    command = getattr(import_module(f"extremal.scripts.{name}"), name)
+    command = getattr(import_module(f"extremal.scripts.{MODULES.get(name, name)}"), name)
     command(_parse(name, command, rest))
     return 0
 

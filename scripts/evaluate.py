@@ -1,28 +1,32 @@
 """`extremal evaluate`: a policy's success over the test episodes, with confidence intervals."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 import tyro
+from matplotlib.axes import Axes
 from rich.box import SIMPLE
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from extremal.estimator import InvalidInput
+from extremal.scripts.report import Report
 from extremal.sim.arm_errors import ArmName
-from extremal.tasks.evaluation import Evaluation, leaderboard, run_evaluation, write_json
+from extremal.tasks.evaluation import Evaluation, run_evaluation, write_json
+from extremal.tasks.leaderboard import METRICS, SETTING, leaderboard
 
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """Evaluate a policy; writes evaluation.json and leaderboard.json. Started again, it goes on where it was stopped."""
+    """Evaluate a policy; writes report.html, evaluation.json and leaderboard.json. Started again, it goes on where it was stopped."""
 
     env: Literal["Inspect", "Navigate", "Grasp"] = "Navigate"
     """the task"""
     policy: str = "active"
-    """random, oracle, active, parallax, absolute, blind, or module:Class of your own"""
+    """random, oracle, active, parallax, absolute, blind, one that a package registers, or module:Class of your own"""
     episodes: Annotated[int, tyro.conf.arg(metavar="N")] = 20
     """number of episodes"""
     workers: Annotated[int, tyro.conf.arg(metavar="W")] = 2
@@ -64,9 +68,32 @@ def evaluate(settings: EvaluateSettings) -> None:
         )
     write_json(settings.out / "evaluation.json", found)
     rows = leaderboard(settings.out / "leaderboard.json", found)
-    console.print(_metrics_table(found))
-    console.print(_leaderboard_table(rows))
-    console.print(f"wrote {settings.out}/: evaluation.json and leaderboard.json")
+    metrics, board = _metrics_table(found), _leaderboard_table(rows)
+    _report(settings, rows, metrics, board).save(settings.out / "report.html")
+    console.print(metrics)
+    console.print(board)
+    console.print(f"wrote {settings.out}/: report.html, evaluation.json and leaderboard.json")
+
+
+def _report(settings: EvaluateSettings, rows: list[dict[str, Any]], metrics: Table, board: Table) -> Report:
+    title = f"{settings.episodes} episodes of {settings.env}, policy {settings.policy}"
+    report = Report("extremal evaluate", title).text(str(metrics.caption))
+    report.figure(
+        lambda axes: _draw_leaderboard(axes, rows),
+        "Success of all policies so far, with 95 % intervals (Wilson).",
+    )
+    report.table(metrics).table(board)
+    return report.section("How it was made").settings(asdict(settings))
+
+
+def _draw_leaderboard(axes: Axes, rows: list[dict[str, Any]]) -> None:
+    rates = np.array([[row["success_rate"], *row["success_ci95"]] for row in rows]).T * 100
+    at = np.arange(len(rows))
+    bars = np.maximum(np.abs(rates[1:] - rates[0]), 0)
+    axes.errorbar(rates[0], at, xerr=bars, fmt="o", color="#1f77b4", capsize=3)
+    axes.set_yticks(at, [f"{row['env']}, {row['policy']}" for row in rows])
+    axes.set(xlabel="success [%]", xlim=(-3, 103), ylim=(len(rows) - 0.5, -0.5))
+    axes.grid(alpha=0.25)
 
 
 def _metrics_table(found: dict[str, Any]) -> Table:
@@ -82,18 +109,20 @@ def _metrics_table(found: dict[str, Any]) -> Table:
 
 
 def _leaderboard_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="leaderboard", box=SIMPLE)
-    for name in ("setting", "policy", "episodes", "success", "95 %", "score"):
-        table.add_column(name, no_wrap=name != "setting")
+    table = Table(title="leaderboard", box=SIMPLE, caption="score: 0 random, 1 oracle; metrics: medians")
+    metrics = [name for name in METRICS if any(row["median"].get(name) is not None for row in rows)]
+    for name in ("setting", "policy", "episodes", "success", "95 %", "score", "95 %", *metrics):
+        table.add_column(name.replace("_", " "), no_wrap=name not in ("setting", *metrics))
     for row in rows:
-        low, high = row["success_ci95"]
-        setting = " ".join(str(row[k]) for k in ("env", "tier", "sensor", "arm") if row[k])
+        medians = (row["median"].get(name) for name in metrics)
         table.add_row(
-            setting,
+            " ".join(str(row[k]) for k in SETTING if row[k]),
             row["policy"],
             str(row["episodes"]),
             f"{100 * row['success_rate']:.1f} %",
-            f"{100 * low:.1f}-{100 * high:.1f} %",
+            "{:.1f}-{:.1f} %".format(*(100 * bound for bound in row["success_ci95"])),
             "-" if row["score"] is None else f"{row['score']:.2f}",
+            "-" if row["score_ci95"] is None else "{:.2f} to {:.2f}".format(*row["score_ci95"]),
+            *("-" if median is None else f"{median:.3g}" for median in medians),
         )
     return table

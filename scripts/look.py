@@ -17,15 +17,18 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from extremal.estimator import InvalidInput, PosePrior, Shape, estimate_shape
+from extremal.estimator import InvalidInput, estimate_shape
 from extremal.estimator.calibration_file import load_calibration
 from extremal.scenes import Scene, load_scene
 from extremal.scenes.board import CalibrationBoard
+from extremal.scripts.look_report import agreement, look_report
+from extremal.scripts.look_result import Look
 from extremal.scripts.output import output_folder
 from extremal.scripts.picture import draw
 from extremal.scripts.poses import Egomotion, known_poses, pose_errors
-from extremal.scripts.scoring import Scored, score
-from extremal.sim import ArmErrors, Drive, LinearMotion, Recording, record
+from extremal.scripts.rerun_recording import require_rerun, write_rerun
+from extremal.scripts.scoring import score
+from extremal.sim import ArmErrors, Drive, LinearMotion, record
 from extremal.sim.arm_errors import ArmName
 from extremal.sim.board_place import board_in_view
 from extremal.sim.cameras import CameraName
@@ -76,6 +79,8 @@ class LookSettings:
     """standard deviation of each view's believed orientation, on top of the arm's [rad]"""
     seed: int = 0
     """of camera steps, noise and pose errors"""
+    rerun: bool = False
+    """also write look.rrd, for the Rerun viewer; needs the extra `rerun`"""
     out: Path = Path("out/look")
     """folder that is written; what was there of the same names is replaced"""
 
@@ -91,29 +96,25 @@ class LookSettings:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class Look:
-    """One look at a scene: what was recorded, what was known of the poses, what was estimated, how it compares, how long it
-    took [s]; `settings` are those of result.json."""
-
-    settings: dict[str, Any]
-    recording: Recording
-    prior: PosePrior
-    shape: Shape
-    scored: Scored
-    timing: dict[str, float]
-
-
 def look(settings: LookSettings) -> None:
-    """Run the whole chain and write result.json, the frames and the labelled picture to `settings.out`."""
+    """Run the whole chain and write report.html, result.json, the frames and the labelled picture to `settings.out`."""
     console = Console()
+    if settings.rerun:
+        require_rerun()
     with output_folder(settings.out) as folder:
         scene = load_scene(settings.scene)
         with _progress(console) as progress:
             result = take_look(scene, settings, progress)
         _write(folder, settings, result)
-    console.print(_table(result))
-    console.print(f"wrote {settings.out}/: result.json, look.png and {len(result.recording.views)} frames")
+        table = _table(result)
+        look_report(scene, settings.scene, settings.seed, result, table).save(folder / "report.html")
+        if settings.rerun:
+            write_rerun(folder / "look.rrd", scene, result)
+    console.print(table)
+    also = " and look.rrd" if settings.rerun else ""
+    console.print(
+        f"wrote {settings.out}/: report.html, result.json, look.png, {len(result.recording.views)} frames{also}"
+    )
 
 
 def take_look(
@@ -265,16 +266,12 @@ def _table(result: Look) -> Table:
 
 
 def _summary(result: Look) -> str:
-    scored = result.scored
-    error = np.abs(scored.column("radius_m") - scored.column("true_radius_m"))
-    known = np.isfinite(error)
-    extremal = known & (scored.column("true_label") == "extremal")
-    if not known.any():
+    median, inside, known = agreement(result.scored)
+    if not known:
         return "no point matches the scene"
-    inside = (error < 1.96 * scored.column("sigma_radius_m"))[known].mean()
-    median = f"{1e3 * np.median(error[extremal]):.2f} mm" if extremal.any() else "-"
+    shown = f"{1e3 * median:.2f} mm" if np.isfinite(median) else "-"
     speed = len(result.recording.views) / result.timing["vision"]
     return (
-        f"extremal boundaries: median |R error| {median}; {100 * inside:.1f} % of all {known.sum()} points within "
+        f"extremal boundaries: median |R error| {shown}; {100 * inside:.1f} % of all {known} points within "
         f"1.96 sigma; vision at {speed:.0f} frames/s"
     )

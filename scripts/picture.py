@@ -24,18 +24,23 @@ def draw(image: np.ndarray, tangents: np.ndarray, scored: Scored, title: str, pa
     `tangents` (n, 2) are the contours' unit tangents [px] at the points, the surface to the right of them where a
     point is extremal.
     """
-    height, width = image.shape[:2]
     figure, (left, right) = plt.subplots(
         1, 2, figsize=(15, 6.2), gridspec_kw={"width_ratios": [1.45, 1]}, layout="constrained"
     )
-    _labelled(left, image, tangents, scored)
-    left.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[], title=title)
-    _against_truth(right, scored)
+    draw_labelled(left, image, tangents, scored)
+    left.set_title(title)
+    left.legend(
+        handles=_legend(), loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=2, fontsize=9, frameon=False
+    )
+    draw_against_truth(right, scored)
     figure.savefig(path, dpi=110, format="png")
     plt.close(figure)
 
 
-def _labelled(axes: Axes, image: np.ndarray, tangents: np.ndarray, scored: Scored) -> None:
+def draw_labelled(axes: Axes, image: np.ndarray, tangents: np.ndarray, scored: Scored) -> None:
+    """Draw a reference frame with its labelled contour points; see `draw`."""
+    height, width = image.shape[:2]
+    axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xticks=[], yticks=[])
     axes.imshow(image, cmap="gray", vmin=0, vmax=255)
     pixels, radius = scored.column("pixel"), np.abs(scored.column("radius_m")) * 1e3
     extremal, sign = scored.column("label") == "extremal", scored.column("gaussian_sign")
@@ -69,12 +74,7 @@ def _labelled(axes: Axes, image: np.ndarray, tangents: np.ndarray, scored: Score
         inward = np.stack([-tangents[chosen, 1], tangents[chosen, 0]], axis=1)
         colour = CONVEX if value > 0 else SADDLE
         axes.plot(*(pixels[chosen] + 7 * inward).T, marker, color=colour, markersize=3, markeredgewidth=0)
-    plt.colorbar(
-        arrows, ax=axes, label="|R|, radius of curvature of the epipolar section [mm]", shrink=0.8, pad=0.01
-    )
-    axes.legend(
-        handles=_legend(), loc="upper center", bbox_to_anchor=(0.5, -0.01), ncols=2, fontsize=9, frameon=False
-    )
+    axes.figure.colorbar(arrows, ax=axes, label="|R| of the epipolar section [mm]", shrink=0.8, pad=0.01)
 
 
 def _legend() -> list[Line2D]:
@@ -97,7 +97,8 @@ def _thinned(pixels: np.ndarray) -> np.ndarray:
     return keep
 
 
-def _against_truth(axes: Axes, scored: Scored) -> None:
+def draw_against_truth(axes: Axes, scored: Scored) -> None:
+    """Draw estimated against true R, with 95 % bars."""
     truth, radius, sigma = (
         scored.column(name) * 1e3 for name in ("true_radius_m", "radius_m", "sigma_radius_m")
     )

@@ -1,8 +1,9 @@
 """`extremal sensitivity`: what small errors of edges and egomotion do to R, in the book's geometry (fig. 3.11, 3.12)."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,8 @@ from rich.table import Table
 from extremal.estimator.camera import Array
 from extremal.scripts.book_setting import AXIS, BASELINE, CAMERA, FIXED_POINTS, TRAVEL, BookSetting
 from extremal.scripts.output import output_folder
-from extremal.scripts.sensitivity_figures import Curve, Figure, draw
+from extremal.scripts.report import Report
+from extremal.scripts.sensitivity_figures import Curve, Figure, draw, draw_curves
 
 VIEWS, LAST = 3, 2  # the last view is the one that is off in the figures
 MILLI = 1e-3
@@ -47,7 +49,7 @@ class SensitivitySettings:
 
 
 def sensitivity(settings: SensitivitySettings) -> None:
-    """Write sensitivity.json and the figures edge.png, position.png and rotation.png to `settings.out`."""
+    """Write report.html, sensitivity.json and the figures edge.png, position.png and rotation.png to `settings.out`."""
     setting = BookSetting.with_vase(settings.radius, settings.marking, settings.distance)
     console = Console()
     with output_folder(settings.out) as folder:
@@ -56,9 +58,27 @@ def sensitivity(settings: SensitivitySettings) -> None:
             draw(figure, 1e3 * setting.radius, folder / f"{figure.name}.png")
         content = summary(setting, figures)
         (folder / "sensitivity.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    console.print(_slopes_table(content))
-    console.print(_views_table(content))
-    console.print(f"wrote {settings.out}/: sensitivity.json, " + ", ".join(f"{f.name}.png" for f in figures))
+        tables = (_slopes_table(content), _views_table(content))
+        _report(setting, figures, tables, content).save(folder / "report.html")
+    for table in tables:
+        console.print(table)
+    console.print(
+        f"wrote {settings.out}/: report.html, sensitivity.json, "
+        + ", ".join(f"{f.name}.png" for f in figures)
+    )
+
+
+def _report(
+    setting: BookSetting, figures: list[Figure], tables: Sequence[Table], content: dict[str, Any]
+) -> Report:
+    report = Report("extremal sensitivity", "what errors of edges and egomotion do to R")
+    for figure in figures:
+        report.figure(
+            partial(draw_curves, figure=figure, truth=1e3 * setting.radius), figure.title.replace("\n", " ")
+        )
+    for table in tables:
+        report.table(table)
+    return report.section("How it was made").settings(content["geometry"])
 
 
 # The figures.

@@ -8,6 +8,7 @@ import numpy as np
 
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
+from matplotlib.axes import Axes
 
 from extremal.estimator.camera import Array
 
@@ -46,6 +47,14 @@ class Figure:
 def draw(figure: Figure, truth: float, path: Path) -> None:
     """Write a figure (PNG); `truth` is R [mm]."""
     canvas, axes = plt.subplots(figsize=(7.2, 5.2), layout="constrained")
+    draw_curves(axes, figure, truth)
+    axes.set_title(figure.title, fontsize=11)
+    canvas.savefig(path, dpi=120, format="png")
+    plt.close(canvas)
+
+
+def draw_curves(axes: Axes, figure: Figure, truth: float) -> None:
+    """Draw a figure's curves; `truth` is R [mm]."""
     axes.axhline(truth, color="0.6", linewidth=0.8, linestyle=":")
     axes.axvline(0, color="0.85", linewidth=0.8, zorder=0)
     axes.axhline(0, color="0.85", linewidth=0.8, zorder=0)
@@ -63,8 +72,5 @@ def draw(figure: Figure, truth: float, path: Path) -> None:
         ylabel="estimated radius of curvature R [mm]",
         xlim=ends * 1.04,
     )
-    axes.set_title(figure.title, fontsize=11)
     axes.grid(alpha=0.2)
     axes.legend(fontsize=9, framealpha=0.9)
-    canvas.savefig(path, dpi=120, format="png")
-    plt.close(canvas)

@@ -47,6 +47,8 @@ class ArmKinematics:
         self._limits = [mink.ConfigurationLimit(self._configuration.model)]
         self._task = mink.FrameTask("flange", "body", position_cost=1.0, orientation_cost=0.5)
         self._camera = self._configuration.model.camera(CAMERA).id
+        self._flange = self._configuration.model.body("flange").id
+        self._jacobian = np.zeros((6, self._configuration.model.nv))
 
     @classmethod
     def behind(cls, path_centre: ArrayLike, geometry: ArmGeometry = NOMINAL) -> "ArmKinematics":
@@ -67,6 +69,17 @@ class ArmKinematics:
             centres[i] = data.cam_xpos[self._camera]
             rotations[i] = data.cam_xmat[self._camera].reshape(3, 3)
         return swap_camera_axes(RigidTransform.from_components(centres, Rotation.from_matrix(rotations)))
+
+    def flange_motion(self, joint_positions: Array) -> tuple[Array, Array]:
+        """T_world_flange (4, 4) at joint positions (6,) [rad], and its Jacobian (6, 6): twists (translation, rotation vector) in the flange frame."""
+        model, data = self._configuration.model, self._configuration.data
+        data.qpos[:] = joint_positions
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_jacBody(model, data, self._jacobian[:3], self._jacobian[3:], self._flange)
+        pose, R = np.eye(4), data.xmat[self._flange].reshape(3, 3)
+        pose[:3, :3], pose[:3, 3] = R, data.xpos[self._flange]
+        return pose, np.concatenate([R.T @ self._jacobian[:3], R.T @ self._jacobian[3:]])
 
     def joint_positions(self, T_world_camera: RigidTransform) -> Array:
         """Joint positions (V, 6) [rad] along a path of camera poses (V), all on the branch of `HOME`.

@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from extremal.estimator.camera import Array
@@ -49,20 +50,24 @@ def probability_extremal(radius: float, sigma: float) -> float:
     return boundary / (boundary + fixed) if boundary + fixed > 0 else 0.5
 
 
-def contact_from(eye: Array, point: Array, normal: Array, radius: float) -> Array:
-    """Contact point (3,) [m] of the osculating circle at `point` with the ray from another place: the contour generator slides
-    over the surface as the eye moves. A fixed feature (radius 0) stays."""
-    normal = normal / max(float(np.linalg.norm(normal)), 1e-12)
-    centre = point - radius * normal
+def contact_from(eye: Array, point: Array, normal: Array, radius: ArrayLike) -> Array:
+    """Contact points (..., 3) [m] of the osculating circles at `point` with the rays from another place: the contour generator
+    slides over the surface as the eye moves. A fixed feature (radius 0) stays.
+
+    Args:
+        eye: (3,) [m]. point: (..., 3) [m]. normal: (..., 3), of any length, out of the circle. radius: (...) [m].
+    """
+    R = np.asarray(radius, float)[..., None]
+    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    centre = point - R * normal
     away = centre - eye
-    distance = float(np.linalg.norm(away))
+    distance = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
     along = away / distance
-    across = normal - (normal @ along) * along
-    share = radius / distance
-    if not abs(share) < 1 or not np.linalg.norm(across) > 1e-9:
-        return point
-    turned = -share * along + np.sqrt(1 - share**2) * across / np.linalg.norm(across)
-    return centre + radius * turned
+    across = normal - np.sum(normal * along, axis=-1, keepdims=True) * along
+    length = np.linalg.norm(across, axis=-1, keepdims=True)
+    share = R / distance
+    turned = -share * along + np.sqrt(np.maximum(1 - share**2, 0.0)) * across / np.maximum(length, 1e-12)
+    return np.where((np.abs(share) < 1) & (length > 1e-9), centre + R * turned, point)
 
 
 def crps(mean: float, sigma: float, value: float) -> float:

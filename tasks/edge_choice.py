@@ -4,13 +4,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array, Camera
-from extremal.scenes import Surface
+from extremal.scenes import Superquadric, Surface
+from extremal.scenes.surface import tangent_basis
 from extremal.tasks.contacts import Contacts, EdgeGeometry
 from extremal.tasks.section_tracks import LEAST_TILT, STEEPER
 
 LIMB_TRACKS = 12  # of every surface
 FIXED_TRACKS = 20  # of all fixed curves
 CANDIDATES = 120  # of a contour generator
+HALVINGS = 7  # of half a turn: 25 mrad about a superquadric's middle
 FIXED_STEP = 8  # samples between candidates on fixed curves: 2 to 4 mm
 BORDER = 8.0  # [px] of the image in which no track starts
 
@@ -41,12 +43,14 @@ class _Chooser:
         self.rotation, self.centre, self.travel = rotation, centre, travel
 
     def limbs(self, k: int, surface: Surface) -> tuple[Contacts, NDArray[np.integer]]:
-        curves = [c[:: max(len(c) // CANDIDATES, 1)] for c in surface._contour(surface._local(self.centre))]
-        points = surface._world(np.concatenate([np.zeros((0, 3)), *curves]))
+        curves = self._candidates(k, surface)
+        points = np.concatenate([np.zeros((0, 3)), *curves])
         contour = np.repeat(np.arange(len(curves)), [len(c) for c in curves])
-        normals, S = surface._world_frame(points)
+        n, S = surface._frame(surface._local(points))
         ray = points - self.centre
-        ok = np.einsum("ni,nij,nj->n", ray, S, ray) > 0
+        local = ray @ surface._rotation
+        ok = np.vecdot(local, (S @ local[..., None])[..., 0]) > 0
+        normals = n @ surface._rotation.T
         rows = self._even(points, contour, self._good(points, normals, ok), LIMB_TRACKS)
         there = np.ones(len(rows), bool)
         none = np.full(len(rows), -1)
@@ -54,6 +58,19 @@ class _Chooser:
             points[rows], normals[rows], there, np.full(len(rows), k), none, np.zeros(len(rows))
         )
         return chosen, contour[rows]
+
+    def _candidates(self, k: int, surface: Surface) -> list[Array]:
+        """Points (n, 3) along the contour generators of a surface, in order."""
+        if k not in self.geometry.smooth:
+            return []
+        if not isinstance(surface, Superquadric):
+            curves = surface._contour(surface._local(self.centre))
+            return [surface._world(c[:: max(len(c) // CANDIDATES, 1)]) for c in curves]
+        start, planes = _fan(surface, surface._local(self.centre))
+        points, _, ok = self.geometry.smooth[k].limb(
+            surface._world(start), self.centre, planes @ surface._rotation.T
+        )
+        return [points[ok]]
 
     def fixed(self) -> tuple[Contacts, NDArray[np.integer]]:
         fixed = self.geometry.fixed
@@ -98,3 +115,25 @@ class _Chooser:
         along = np.concatenate([[0.0], np.cumsum(step)])
         wanted = (np.arange(most) + 0.5) / most * along[-1]
         return rows[np.unique(np.minimum(np.searchsorted(along, wanted), len(rows) - 1))]
+
+
+def _fan(surface: Superquadric, centre: Array) -> tuple[Array, Array]:
+    """Points (n, 3) near the contour generator seen from `centre` (3,), and normals (n, 3) of planes through it in which they
+    lie, in the object frame: on a convex body every half-plane bounded by the line from its middle to the camera holds one.
+    `Surface._contour` finds a few thousand, to rounding."""
+    axis = centre / np.linalg.norm(centre)
+    u, v = tangent_basis(axis)
+    phi = np.arange(CANDIDATES)[:, None] * (2 * np.pi / CANDIDATES)
+    aside = np.cos(phi) * u + np.sin(phi) * v
+    low, high = np.zeros(CANDIDATES), np.full(CANDIDATES, np.pi)
+    points = aside
+    for _ in range(HALVINGS):
+        beta = ((low + high) / 2)[:, None]
+        d = np.cos(beta) * axis + np.sin(beta) * aside
+        gauge, gradient = surface._gauge(d)[:2]
+        points = d / gauge[:, None]
+        behind = (
+            gradient @ centre < 1
+        )  # grad G . (p - c) = 1 - grad G . c, from the side that faces the camera on
+        low, high = np.where(behind, low, beta[:, 0]), np.where(behind, beta[:, 0], high)
+    return points, np.cross(axis, aside)

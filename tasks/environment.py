@@ -1,6 +1,8 @@
 """What the environments have in common: a camera that is carried, a sensor that follows contours, observations and pictures."""
 
+import math
 from abc import abstractmethod
+from collections.abc import Iterator
 from typing import Any, Generic, Literal, TypeVar
 
 import gymnasium as gym
@@ -12,12 +14,20 @@ from extremal.estimator import Camera
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
 from extremal.scenes import Scene
-from extremal.tasks.carried import CarriedCamera
+from extremal.sim import ArmErrors, get_arm
+from extremal.tasks.carried import CarriedCamera, whole_error
 from extremal.tasks.eye import Eye
 from extremal.tasks.features import with_mounting
 from extremal.tasks.overlay import picture
 from extremal.tasks.sensors import make_sensor
-from extremal.tasks.spaces import checked_action, feature_rows, feature_space, motion_space, moved
+from extremal.tasks.spaces import (
+    checked_action,
+    feature_rows,
+    feature_space,
+    motion_space,
+    moved,
+    pose_values,
+)
 from extremal.tasks.tiers import Tier, get_tier
 
 SensorName = Literal["geometric", "rendered"]
@@ -78,6 +88,10 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self._setup: Setup | None = None
 
     # What a task is.
+
+    def _scatter(self, errors: ArmErrors) -> Array:
+        """Covariance (6, 6) of the poses' errors that are drawn anew in every look (see `carried`)."""
+        return whole_error(errors)
 
     @abstractmethod
     def _draw(self, seed: int, tier: Tier) -> Setup:
@@ -144,7 +158,9 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self.scene, self.commanded = self._scene()
         streams = np.random.default_rng([episode, 11]).spawn(3)
         self._noise = streams[0]
-        self.robot = CarriedCamera.draw(tier.arm_errors, self.commanded, streams[1])
+        self.robot = CarriedCamera.draw(
+            get_arm(tier.arm_bias), self._scatter(get_arm(tier.arm_noise)), self.commanded, streams[1]
+        )
         self._sensor.reset(self.scene, self.camera, streams[2])
         self.steps, self.travelled, self.is_success = 0, 0.0, False
         self.actual = self.robot.actual(self.commanded, self._noise)
@@ -160,7 +176,7 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self.commanded = moved(self.commanded, values[:6], self.action_mode)
         self.actual = self.robot.actual(self.commanded, self._noise)
         self.steps += 1
-        self.travelled += float(np.linalg.norm(self.actual.translation - before.translation))
+        self.travelled += math.dist(self.actual.translation, before.translation)
         self._look()
         reward, ended, self.is_success = self._judge(values, before)
         truncated = not ended and self.steps >= self.max_steps
@@ -171,9 +187,8 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self.features = with_mounting(seen, self.commanded.translation, *self.robot.mounting_sigma)
 
     def _observe(self) -> Observation:
-        pose = np.concatenate([self.commanded.translation, self.commanded.rotation.as_quat(canonical=True)])
         observation: Observation = {
-            "pose": pose.astype(np.float32),
+            "pose": pose_values(self.commanded),
             "time": np.array([min(self.steps / self.max_steps, 1.0)], np.float32),
         } | self._extra()
         if self.obs_mode != "rgb":
@@ -183,7 +198,7 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         return observation
 
     def _info(self) -> dict[str, Any]:
-        known = {name: value for name, value in self._metrics().items() if not np.isnan(value)}
+        known = {name: value for name, value in self._metrics().items() if not math.isnan(value)}
         return known | {"is_success": self.is_success, "steps": self.steps, "path_length_m": self.travelled}
 
     # Pictures.
@@ -201,6 +216,10 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         return picture(
             self._eye("picture", 640, 480), self.camera, self.actual, self.features, *self._onlooker()
         )
+
+    def afterwards(self) -> Iterator[NDArray[np.uint8]]:
+        """Pictures (480, 1280, 3), ten a second, of what the last action set going; none where the episode ends with the action."""
+        return iter(())
 
     def _close_eyes(self) -> None:
         for eye in self._eyes.values():

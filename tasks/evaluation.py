@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass
@@ -17,9 +17,9 @@ from extremal.estimator.errors import ExtremalError, InvalidInput
 from extremal.estimator.files import write_whole
 from extremal.sim.arm_errors import ARMS
 from extremal.tasks import ENVIRONMENTS
-from extremal.tasks.metrics import bootstrap_interval, normalised_score, wilson_interval
+from extremal.tasks.metrics import bootstrap_interval, wilson_interval
 from extremal.tasks.policies.baselines import ARGUMENTS, BASELINES
-from extremal.tasks.policies.policy import load_policy
+from extremal.tasks.policies.policy import arguments_of, load_policy
 from extremal.tasks.sensors import SENSORS
 from extremal.tasks.tiers import TEST_SEEDS, get_tier
 
@@ -35,7 +35,7 @@ class Evaluation:
     """What is evaluated. Two that are equal give the same numbers.
 
     Attributes:
-        env: "Inspect", "Navigate" or "Grasp". policy: a baseline's name, or module:Class.
+        env: "Inspect", "Navigate" or "Grasp". policy: see `load_policy`.
         episodes: number; episode i has the seed `TEST_SEEDS[seed + i]`.
         sensor, tier, arm: see `ActiveVisionEnv`.
 
@@ -58,7 +58,7 @@ class Evaluation:
                     f"{key} is {getattr(self, key)!r}; accepted: {', '.join(str(a) for a in accepted if a)}"
                 )
         get_tier(self.tier)
-        load_policy(self.policy, BASELINES[self.env])
+        arguments_of(load_policy(self.policy, BASELINES[self.env]))
         if self.episodes < 1 or self.seed < 0 or self.seed + self.episodes > len(TEST_SEEDS):
             raise InvalidInput(
                 f"episodes {self.seed} to {self.seed + self.episodes - 1} are asked for; accepted: 0 to {len(TEST_SEEDS) - 1}"
@@ -75,18 +75,21 @@ class Evaluation:
         return TEST_SEEDS[self.seed : self.seed + self.episodes]
 
 
-def run_episode(evaluation: Evaluation, seed: int) -> dict[str, float]:
-    """The last `info` of an episode, its steps and the sum of its rewards."""
+def run_episode(
+    evaluation: Evaluation, seed: int, options: Mapping[str, Any] | None = None
+) -> dict[str, float]:
+    """The last `info` of an episode, its steps and the sum of its rewards; `options` replace fields of its tier."""
+    policy = load_policy(evaluation.policy, BASELINES[evaluation.env])
     env = gym.make(
         f"extremal.tasks:extremal/{evaluation.env}-v0",
         sensor=evaluation.sensor,
         tier=evaluation.tier,
         arm=evaluation.arm,
         **ARGUMENTS.get(evaluation.env, {}),
+        **arguments_of(policy),
     )
     try:
-        policy = load_policy(evaluation.policy, BASELINES[evaluation.env])
-        observation, info = env.reset(seed=seed)
+        observation, info = env.reset(seed=seed, options=dict(options) if options else None)
         policy.reset(env, np.random.default_rng([seed, 3]))
         total, ended = 0.0, False
         while not ended:
@@ -145,7 +148,8 @@ def _results(
 
 
 def summary(evaluation: Evaluation, results: list[dict[str, float]]) -> dict[str, Any]:
-    """What evaluation.json holds: success with its interval (Wilson), and medians and percentiles of everything else."""
+    """What evaluation.json holds: success with its interval (Wilson), medians and percentiles of everything else, what was
+    evaluated, and the outcome of each episode (1: success)."""
     successes = int(sum(result["is_success"] for result in results))
     names = sorted({name for result in results for name in result} - {*NOT_METRICS})
     return {
@@ -159,6 +163,7 @@ def summary(evaluation: Evaluation, results: list[dict[str, float]]) -> dict[str
         "tier": evaluation.tier,
         "arm": evaluation.arm,
         "seed": evaluation.seed,
+        "outcomes": "".join(str(int(result["is_success"])) for result in results),
     }
 
 
@@ -179,30 +184,6 @@ def _spread(values: list[float]) -> dict[str, float | list[float] | None]:
         "mean": float(known.mean()),
         "mean_ci95": [float(low), float(high)],
     }
-
-
-def leaderboard(path: Path, found: dict[str, Any]) -> list[dict[str, Any]]:
-    """The table of a file with one more evaluation in it, in place of an older one of the same.
-
-    `score` is (success - random) / (oracle - random) where both are in the table for the same setting.
-    """
-    rows = json.loads(path.read_text()) if path.exists() else []
-    same = ("env", "policy", "sensor", "tier", "arm")
-    rows = [row for row in rows if any(row[k] != found[k] for k in same)]
-    rows.append({k: found[k] for k in (*same, "episodes", "success_rate", "success_ci95")})
-    for row in rows:
-        rates = {
-            other["policy"]: other["success_rate"]
-            for other in rows
-            if all(other[k] == row[k] for k in same if k != "policy")
-        }
-        both = "random" in rates and "oracle" in rates and rates["oracle"] > rates["random"]
-        row["score"] = (
-            float(normalised_score(row["success_rate"], rates["random"], rates["oracle"])) if both else None
-        )
-    rows.sort(key=lambda row: (row["env"], row["tier"], row["sensor"], str(row["arm"]), -row["success_rate"]))
-    write_json(path, rows)
-    return rows
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial.transform import RigidTransform
 from extremal.estimator.camera import Camera
 from extremal.estimator.errors import RenderingError
 from extremal.scenes import Scene
+from extremal.scenes.grids import QUICK
 from extremal.sim.axes import swap_camera_axes
 from extremal.sim.gl import select_backend
 from extremal.sim.rendering import EYE, NEAR, scene_model
@@ -27,7 +28,7 @@ class Eye:
 
     def __init__(self, scene: Scene, camera: Camera, width: int, height: int) -> None:
         select_backend()
-        self._model = model = scene_model(scene.to_spec())
+        self.model = model = scene_model(scene.to_spec(QUICK))
         self._data = mujoco.MjData(model)
         focal = max(width / camera.width * camera.fx, height / camera.height * camera.fy)
         eye = model.camera(EYE).id
@@ -56,8 +57,8 @@ class Eye:
         eye = swap_camera_axes(T_world_camera)
         self._data.mocap_pos[0] = eye.translation
         self._data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
+        mujoco.mj_kinematics(self.model, self._data)
+        mujoco.mj_camlight(self.model, self._data)
         self._renderer.update_scene(self._data, EYE)
         return self._renderer.render()
 

@@ -53,13 +53,13 @@ class Features:
 
     def __post_init__(self) -> None:
         n = len(self.radius)
-        tails = {"position": (3,), "covariance": (3, 3), "normal": (3,), "plane": (3,), "pixels": (2,)}
-        for field in fields(self):
-            shape, accepted = np.shape(getattr(self, field.name)), (n, *tails.get(field.name, ()))
-            if shape != accepted:
-                raise InvalidInput(f"{field.name} of features is {shape}; accepted: {accepted}")
+        for name, tail in _TAILS.items():
+            if getattr(self, name).shape != (n, *tail):
+                raise InvalidInput(
+                    f"{name} of features is {getattr(self, name).shape}; accepted: {(n, *tail)}"
+                )
         for name in ("sigma_radius", "sigma_relative"):
-            if not np.all(getattr(self, name) >= 0):
+            if n and not getattr(self, name).min() >= 0:
                 raise InvalidInput(f"{name} of features must be 0, positive or infinite [m]")
 
     def __len__(self) -> int:
@@ -104,7 +104,7 @@ class Features:
 
     def take(self, rows: NDArray[np.integer] | NDArray[np.bool_]) -> "Features":
         """The features [rows]."""
-        return replace(self, **{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+        return Features(*(getattr(self, name)[rows] for name in _TAILS))
 
     def left(self) -> "Features":
         """As they stay when their tracks are given up."""
@@ -112,25 +112,30 @@ class Features:
 
     def and_then(self, others: "Features") -> "Features":
         """These features, then others, whose contours have other numbers."""
-        after = replace(others, contour=others.contour + self.contour.max(initial=-1) + 1)
-        return Features(
-            *(np.concatenate([getattr(self, f.name), getattr(after, f.name)]) for f in fields(self))
-        )
+        if not len(others) or not len(self):
+            return others if not len(self) else self
+        after = replace(others, contour=others.contour + self.contour.max() + 1)
+        return Features(*(np.concatenate([getattr(self, name), getattr(after, name)]) for name in _TAILS))
+
+
+_TAILS = {field.name: () for field in fields(Features)} | {
+    "position": (3,), "covariance": (3, 3), "normal": (3,), "plane": (3,), "pixels": (2,)
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class Radii:
-    """Signed radii (n,) [m] about the tangent planes' normals as they are measured, with sigma, positions and covariances."""
+    """Signed radii (n,) [m] about the tangent planes' normals as they are measured, with sigma."""
 
     radius: Array
     sigma: Array
-    position: Array
-    covariance: Array
 
 
 def labelled(
     free: Radii,
     held: Radii | None,
+    position: Array,
+    covariance: Array,
     normal: Array,
     plane: Array,
     reference: NDArray[np.bool_],
@@ -149,8 +154,8 @@ def labelled(
         free.sigma,
         side * held.radius if held else none,
         held.sigma if held else unknown,
-        best.position,
-        best.covariance,
+        position,
+        covariance,
         side[:, None] * normal,
         plane,
         known & (np.abs(best.radius) > CONFIDENCE * best.sigma),
@@ -203,10 +208,10 @@ def with_mounting(features: Features, eye: Array, position: float, rotation: flo
         eye: (3,) [m] camera centre.
         position, rotation: standard deviations of the mounting, each axis [m], [rad].
     """
-    distance = np.linalg.norm(features.position - eye, axis=1)
-    off = np.hypot(position, rotation * distance)
+    away = features.position - eye
+    off2 = position**2 + rotation**2 * np.vecdot(away, away)
     return replace(
         features,
-        sigma_radius=np.hypot(features.sigma_radius, off),
-        covariance=features.covariance + (off**2)[:, None, None] * np.eye(3),
+        sigma_radius=np.sqrt(features.sigma_radius**2 + off2),
+        covariance=features.covariance + off2[:, None, None] * np.eye(3),
     )

@@ -1,5 +1,7 @@
 """A sensor without images: exact apparent contours of the scene, with the errors that edges have in rendered frames."""
 
+import math
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +17,7 @@ from extremal.tasks.contacts import Contacts, EdgeGeometry
 from extremal.tasks.edge_choice import choose
 from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features
+from extremal.tasks.section_rows import cross
 from extremal.tasks.section_tracks import SectionTracks
 from extremal.tasks.track_sets import (
     FIRST_LOOKS,
@@ -27,7 +30,7 @@ from extremal.tasks.track_sets import (
     travel_of,
 )
 
-OCCLUSION_TURNS = 3  # looks in which what hides tracks is looked at for all of them, a part in each
+OCCLUSION_TURNS = 3  # looks, in one of which what hides tracks is looked at
 
 
 class GeometricSensor:
@@ -36,11 +39,15 @@ class GeometricSensor:
     def __init__(self, edge_model: EdgeModel | None = None, spacing: float = SPACING) -> None:
         self._model, self._spacing = edge_model or EdgeModel(), checked_spacing(spacing)
         self._sets: TrackSets[_Look] | None = None
-        self._roots, self._threads = PoseRoots(), ThreadpoolController()
+        self._roots, self._threads, self._many = PoseRoots(), ThreadpoolController(), True
 
     def reset(self, scene: Scene, camera: Camera, rng: np.random.Generator) -> None:
         """See `FeatureSensor`; raises SceneError for a scene with a mesh."""
         geometry = EdgeGeometry(scene)
+        # setting the number of threads takes a tenth of a look
+        self._many = any(
+            pool["num_threads"] > 1 for pool in self._threads.info() if pool["user_api"] == "blas"
+        )
         self._roots = PoseRoots()
         self._sets = TrackSets(lambda: _Tracks(geometry, camera, self._model, rng), self._spacing)
 
@@ -55,7 +62,7 @@ class GeometricSensor:
             return self._sets.features
         root = self._roots.of(pose_covariance)
         look = _Look(actual, believed, root, first_baseline(pose_covariance))
-        with self._threads.limit(limits=1, user_api="blas"):
+        with self._threads.limit(limits=1, user_api="blas") if self._many else nullcontext():
             return self._sets.take_in(look, look.believed[:3, 3])
 
     @property
@@ -149,9 +156,9 @@ class _Tracks:
         """Contacts with the epipolar planes as the robot believes them to lie: off the planes of a camera that left its line,
         where a point at the contact's distance would lie in them."""
         c = look.actual[:3, 3]
-        height = self._plane @ (look.believed[:3, 3]) - self._plane @ self._start
+        height = self._plane @ (look.believed[:3, 3] - self._start)
         ray = self._contacts.points - c
-        square = np.einsum("ni,ni->n", ray, ray)
+        square = np.vecdot(ray, ray)
         turned = look.actual[:3, :3] @ look.believed[:3, :3].T
         planes = self._plane @ turned.T + (height / square)[:, None] * ray
         self._contacts = self._geometry.advance(self._contacts, c, planes)
@@ -161,20 +168,19 @@ class _Tracks:
         contacts, camera = self._contacts, self._camera
         away = contacts.points - look.actual[:3, 3]
         in_camera, normals = away @ look.actual[:3, :3], contacts.normals @ look.actual[:3, :3]
-        pixels = camera.project(in_camera)
         ray = _unit(in_camera)
+        pixels = camera.project(in_camera)
         self._update_hidden(look.actual[:3, 3])
-        across = np.cross(ray, self._plane @ look.believed[:3, :3])
-        across *= np.where(across @ (self._travel @ look.believed[:3, :3]) < 0, -1.0, 1.0)[:, None]
-        tilt = np.einsum("ni,ni->n", normals, _unit(across))
-        normals = normals * np.where(tilt < 0, -1.0, 1.0)[:, None]
+        across = cross(ray, self._plane @ look.believed[:3, :3])
+        forth = (across @ (self._travel @ look.believed[:3, :3])) * np.vecdot(normals, across)
+        normals = normals * np.where(forth < 0, -1.0, 1.0)[:, None]
         error, found = self._errors(ray @ look.believed[:3, :3].T)
         across_px = normals[:, :2] / (camera.fx, camera.fy)
-        slope = np.maximum(np.sqrt(np.einsum("ni,ni->n", across_px, across_px)), 1e-9)
+        slope = np.maximum(np.sqrt(np.vecdot(across_px, across_px)), 1e-9)
         per_px = slope * ray[:, 2]  # [rad] of the plane about the centre
-        high = np.array([camera.width, camera.height]) - 0.5
+        u, v = pixels.T
         ok = contacts.there & ~self._hidden & found & (ray[:, 2] > 0)
-        ok &= np.all((pixels >= -0.5) & (pixels <= high), axis=1)
+        ok &= (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
         sigma = np.where(ok, self._noise * per_px, np.inf)
         normals = _unit(normals + (error * per_px)[:, None] * ray)
         return _Seen(normals, sigma, pixels - (error / slope)[:, None] * across_px)
@@ -182,16 +188,16 @@ class _Tracks:
     def _errors(self, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Errors (n,) [px] of edges seen along rays (n, 3), and which are found."""
         middle = rays.mean(axis=0) if len(rays) else np.ones(3)
-        middle = middle / np.linalg.norm(middle)
+        middle = middle / math.sqrt(middle @ middle)
         if self._line is not None:
-            turn = float(np.arccos(np.clip(middle @ self._line, -1, 1)))
+            turn = math.acos(min(max(float(middle @ self._line), -1.0), 1.0))
             self._bias = self._model.next_bias(self._bias, turn, self._rng)
         self._line = middle
         return self._model.draw(self._bias, self._noise, self._rng)
 
     def _update_hidden(self, centre: Array) -> None:
-        rows = slice(self._looks % OCCLUSION_TURNS, None, OCCLUSION_TURNS)
-        self._hidden[rows] = self._geometry.hidden(centre, self._contacts.points[rows])
+        if self._looks % OCCLUSION_TURNS == 0:
+            self._hidden = self._geometry.hidden(centre, self._contacts.points)
 
     def _absorb(self, look: _Look, seen: _Seen) -> None:
         ok = self._sections.take_in(look.believed, look.root, seen.normals, seen.sigma)
@@ -203,4 +209,4 @@ class _Tracks:
 
 
 def _unit(vectors: Array) -> Array:
-    return vectors / np.sqrt(np.einsum("ni,ni->n", vectors, vectors))[:, None]
+    return vectors / np.sqrt(np.vecdot(vectors, vectors))[:, None]

@@ -1,15 +1,17 @@
 """`extremal/Grasp-v0`: look at a vase from one side, and lift it by its other."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator.camera import Array
 from extremal.scenes import Scene, Surface
 from extremal.sim import NOMINAL, UnreachablePose, fixating
-from extremal.tasks.clearance import between, gap
+from extremal.tasks.clearance import Clearance, between
 from extremal.tasks.environment import ActiveVisionEnv, Observation
 from extremal.tasks.grasp_motion import T_FLANGE_CUP, CupKinematics
 from extremal.tasks.grasp_outcome import LIFT, GraspOutcome
@@ -98,6 +100,11 @@ class GraspEnv(ActiveVisionEnv[GraspSetup]):
         self.joints = self.arm.joint_positions(RigidTransform.concatenate([self._cup(self.commanded)]))[0]
         self._collision, self._grasp = False, dict.fromkeys(_GRASP, float("nan"))
         self._trace = [self.actual.translation.copy()]
+        self._world: GraspWorld | None = None
+        self._near = Clearance(self.scene, CAMERA_RADIUS, smallest=1e-9)
+
+    def afterwards(self) -> Iterator[NDArray[np.uint8]]:
+        return iter(()) if self._world is None else self._world.film()
 
     def _extra(self) -> Observation:
         accepted = [*self.setup.azimuth_range, self.setup.level]
@@ -110,7 +117,8 @@ class GraspEnv(ActiveVisionEnv[GraspSetup]):
     def _judge(self, action: Array, before: RigidTransform) -> tuple[float, bool, bool]:
         here = self.actual.translation
         self._trace.append(here.copy())
-        self._collision = gap(self.scene, between(before.translation, here), CAMERA_RADIUS) <= 0
+        self._near.take_in(between(before.translation, here))
+        self._collision = self._near.smallest <= 0
         try:
             self.joints = self.arm.straight(self.joints, self._cup(self.commanded))[-1]
         except UnreachablePose:
@@ -142,8 +150,8 @@ class GraspEnv(ActiveVisionEnv[GraspSetup]):
             plan = _way(self.arm, self.joints, asked, self.setup.vase, others)
             if plan is None:
                 return None
-            world = GraspWorld(self.setup.vase, self.arm, plan.way[0], others, self.robot.geometry)
-            return carry_out(world, plan)
+            self._world = GraspWorld(self.setup.vase, self.arm, plan.way[0], others, self.robot.geometry)
+            return carry_out(self._world, plan)
         except (UnreachablePose, GraspDiverged):
             return None
 

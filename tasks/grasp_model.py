@@ -159,3 +159,13 @@ def set_weld(
     # In a compiled model: the point in the second body's frame, the same in the first one's, the relative rotation.
     model.eq_data[weld, :10] = np.concatenate([T_flange_target.inv().apply(p_flange), p_flange, quat])
     data.eq_active[weld] = 1
+
+
+def geom_owners(model: mujoco.MjModel, target: Surface, obstacles: Sequence[Surface]) -> list[str]:
+    """For each geom what it belongs to: the target, an obstacle, the table, or the arm."""
+    bodies = {
+        TARGET: target.name,
+        **{f"{OBSTACLES}/{i}": s.name for i, s in enumerate(obstacles)},
+        "world": TABLE,
+    }
+    return [bodies.get(model.body(int(body)).name, "arm") for body in model.geom_bodyid]

@@ -138,7 +138,7 @@ class CupKinematics:
         q = np.asarray(start, float)
         path = [q]
         line = _line(self.cup_poses(q[None])[0], T_world_cup)
-        flanges = (self.T_world_base.inv() * line * T_FLANGE_CUP.inv()).as_matrix()
+        flanges = (line * T_FLANGE_CUP.inv()).as_matrix()
         for cup, flange in zip(line.translation, flanges, strict=True):
             reached = self._newton(q, flange)
             if reached is None or np.max(np.abs(reached - q)) > JUMP:
@@ -151,19 +151,18 @@ class CupKinematics:
             path.append(q)
         return np.array(path)
 
-    def _newton(self, q: Array, T_base_flange: Array) -> Array | None:
+    def _newton(self, q: Array, T_world_flange: Array) -> Array | None:
         """Joint positions (6,) near q at which the flange is at a pose (4, 4); None where there are none."""
         for _ in range(8):
-            frame = self.believed.flange_poses(q[None]).as_matrix()[0]
+            frame, jacobian = self._arm.flange_motion(q)
             R = frame[:3, :3]
-            turned = R.T @ T_base_flange[:3, :3]
+            turned = R.T @ T_world_flange[:3, :3]
             # To first order the logarithm of the pose that is still missing.
             rotation = (turned - turned.T)[[2, 0, 1], [1, 2, 0]] / 2
-            twist = np.concatenate([(T_base_flange[:3, 3] - frame[:3, 3]) @ R, rotation])
+            twist = np.concatenate([(T_world_flange[:3, 3] - frame[:3, 3]) @ R, rotation])
             if np.max(np.abs(twist)) < RESIDUAL:
                 inside = np.all((q >= JOINT_LIMITS[:, 0]) & (q <= JOINT_LIMITS[:, 1]))
                 return q if inside else None
-            jacobian = self.believed.derivatives(q[None])[0, :, :6]
             try:
                 step = np.linalg.solve(jacobian, twist)
             except np.linalg.LinAlgError:

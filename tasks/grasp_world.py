@@ -1,6 +1,6 @@
 """The physics of a grasp: the arm moves, the cup seals on true geometry, holds, and lets go when it is asked too much."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import mujoco
 import numpy as np
@@ -13,7 +13,8 @@ from extremal.scenes import Surface
 from extremal.sim import ArmGeometry
 from extremal.sim.arm import CUP_TIP
 from extremal.sim.execution import KD, KP
-from extremal.tasks.grasp_model import OBSTACLES, SEAL, TABLE, TARGET, grasp_model, set_weld
+from extremal.tasks.grasp_film import pictures
+from extremal.tasks.grasp_model import SEAL, TARGET, geom_owners, grasp_model, set_weld
 from extremal.tasks.grasp_motion import PEAK, STEP, T_FLANGE_CUP, CupKinematics, JointPath, timed
 from extremal.tasks.grasp_outcome import LIFT, GraspOutcome
 from extremal.tasks.suction import Seal, SuctionCup, load_ratio, seal
@@ -24,6 +25,7 @@ APPROACH_SPEED = 0.015  # of the cup, guarded [m/s]
 BRAKE = 0.03  # time in which a guarded motion comes to rest [s]
 AREA_DENSITY = 3.0  # of the target's wall: 3 mm of plastic, 1.2 mm of glass [kg/m^2]
 FRICTION = 0.5  # between target, table and whatever else touches
+FILM = 50  # steps between positions that are kept for a film: a tenth of a second
 RUNAWAY = 1e3  # [m/s], [rad/s] nothing sound moves so fast
 
 
@@ -64,7 +66,7 @@ class GraspWorld:
         self._data = mujoco.MjData(self._model)
         self._reference = _joints(start)
         self._data.qpos[:6] = self._reference
-        self._names = _names(self._model, target, obstacles)
+        self._names = geom_owners(self._model, target, obstacles)
         self._body, self._cup_tip = self._model.body(TARGET).id, self._model.site(CUP_TIP).id
         self._wrong = self._all_but_standing()
         mujoco.mj_forward(self._model, self._data)
@@ -73,6 +75,7 @@ class GraspWorld:
         self._sealed = self._released = self._lifting = False
         self._moved = self._largest_load = 0.0
         self._touched = ""
+        self._film = [self._data.qpos.copy()]
         self.wrench = np.zeros(6)
 
     # What is there.
@@ -122,6 +125,10 @@ class GraspWorld:
             self._touched,
             self._largest_load,
         )
+
+    def film(self) -> Iterator[NDArray[np.uint8]]:
+        """Pictures of what has happened so far, ten a second (`grasp_film.pictures`)."""
+        return pictures(self._model, self._film)
 
     @property
     def _centre(self) -> Array:
@@ -216,6 +223,8 @@ class GraspWorld:
         mujoco.mj_step(self._model, data)
         self._steps += 1
         q, v = data.qpos, data.qvel
+        if self._steps % FILM == 0:
+            self._film.append(q.copy())
         # MuJoCo resets what is not finite, and the time with it.
         if not (v @ v < RUNAWAY**2 and q @ q < np.inf and abs(data.time - self.time) < STEP / 2):
             raise GraspDiverged(
@@ -284,13 +293,3 @@ def _braking(position: Array, velocity: Array) -> JointPath:
     """From a velocity (6,) [rad/s] to rest, evenly."""
     s = np.linspace(0, 1, round(BRAKE / STEP) + 1)[1:, None]
     return JointPath(position + velocity * BRAKE * (s - s * s / 2), velocity * (1 - s))
-
-
-def _names(model: mujoco.MjModel, target: Surface, obstacles: Sequence[Surface]) -> list[str]:
-    """For each geom what it belongs to: the target, an obstacle, the table, or the arm."""
-    bodies = {
-        TARGET: target.name,
-        **{f"{OBSTACLES}/{i}": s.name for i, s in enumerate(obstacles)},
-        "world": TABLE,
-    }
-    return [bodies.get(model.body(int(body)).name, "arm") for body in model.geom_bodyid]

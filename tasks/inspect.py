@@ -13,26 +13,20 @@ from extremal.sim import fixating
 from extremal.tasks.answers import (
     LARGEST,
     Answer,
-    contact_from,
     is_right,
     negative_log_likelihood,
-    probability_extremal,
     quality,
 )
-from extremal.tasks.clearance import between, gap
+from extremal.tasks.clearance import Clearance, between
 from extremal.tasks.environment import ActiveVisionEnv, Observation
 from extremal.tasks.inspect_setup import InspectSetup, InspectTruth, inspect_truth
+from extremal.tasks.question import Question, Tracked
 from extremal.tasks.spaces import REACH, SLOTS, motion_space, slots
 from extremal.tasks.tiers import Tier
 
 SPHERE = 0.02  # [m] radius of the camera
-NEAR_LEVEL, NEAR_SIDE = (
-    30.0,
-    14.0,
-)  # [px] from the contour asked about, along and across it, of features that belong to it
 PATH_WORTH, PATH_LONG = 0.2, 1.0  # share of the reward that a path of so many metres costs
 UNSEEN = 0.05  # [m] of R, where nothing was seen
-LEAST_LOOKS = 5
 
 
 class InspectEnv(ActiveVisionEnv[InspectSetup]):
@@ -40,7 +34,8 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
 
     An object stands on a table beside a box (see `inspect_setup`). The question is about the outline of object or box furthest to
     one side at the level that the camera fixates; `query` says where it is seen at the start. Scores are the truth's, for the view
-    in which the answer is given.
+    in which the answer is given: an outline of the object slides over it as the camera moves; of the box, the edge stays the one
+    that was asked about. What features say of R is true in the middle of the arc from which they were seen: so answer there.
 
     ## Action space
 
@@ -107,10 +102,11 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         return found
 
     def _begin(self) -> None:
-        self._first = self.commanded
         asked = inspect_truth(self.setup, self.actual).point
         self._query = self.camera.project(self.actual.inv().apply(asked))
+        self._question = Question(self.camera, self.commanded, self._query)
         self._collision, self._scores = False, dict.fromkeys(_SCORES, float("nan"))
+        self._near = Clearance(self.scene, SPHERE, smallest=0.0)
         self._trace = [self.actual.translation.copy()]
 
     def _extra(self) -> Observation:
@@ -123,15 +119,18 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         return extra
 
     def _belongs(self) -> np.ndarray:
-        """Which features lie on the contour that is asked about: near it, as the first view sees their contact points."""
-        there = self._first.inv().apply(self.features.position) if len(self.features) else np.zeros((0, 3))
-        off = self.camera.project(np.where(there[:, 2:] > 0.01, there, (0.0, 0.0, 1.0))) - self._query
-        return (there[:, 2] > 0.01) & (np.abs(off[:, 1]) < NEAR_LEVEL) & (np.abs(off[:, 0]) < NEAR_SIDE)
+        """Which features lie on the contour that is asked about."""
+        return self._question.belongs(self._tracked())
+
+    def _tracked(self) -> Tracked:
+        f = self.features
+        return Tracked(f.position, f.normal, f.contour, f.views, f.best_radius, f.best_sigma)
 
     def _judge(self, action: Array, before: RigidTransform) -> tuple[float, bool, bool]:
         here = self.actual.translation
         self._trace.append(here.copy())
-        self._collision = gap(self.scene, between(before.translation, here), SPHERE) <= 0
+        self._near.take_in(between(before.translation, here))
+        self._collision = self._near.smallest < 0
         if self._collision:
             return 0.0, True, False
         if action[6] <= 0 and self.steps < self.max_steps:
@@ -147,19 +146,9 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         return (float(success) if self.reward_mode == "sparse" else worth * path), True, success
 
     def _estimators(self) -> Answer:
-        """The estimator's answer: what the best known of the features on the contour says."""
-        f = self.features
-        rows = np.flatnonzero(self._belongs() & (f.views >= LEAST_LOOKS) & np.isfinite(f.best_sigma))
-        if len(rows) == 0:
-            ahead = self.commanded.apply([0.0, 0.0, 0.5])
-            return Answer(0.5, UNSEEN, LARGEST / np.sqrt(12), ahead)
-        sigma = f.best_sigma[rows]
-        weight = sigma**-2 / np.sum(sigma**-2)
-        radius, least = float(weight @ f.best_radius[rows]), float(sigma.min())
-        place = contact_from(
-            self.commanded.translation, weight @ f.position[rows], weight @ f.normal[rows], radius
-        )
-        return Answer(probability_extremal(radius, least), radius, least, place)
+        """The estimator's answer: what the features on the contour say."""
+        found = self._question.answer(self.commanded.translation, self._tracked())
+        return found or Answer(0.5, UNSEEN, LARGEST / np.sqrt(12), self.commanded.apply([0.0, 0.0, 0.5]))
 
     def _metrics(self) -> dict[str, float]:
         answered = float(np.isfinite(self._scores["quality"]))

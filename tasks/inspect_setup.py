@@ -3,10 +3,12 @@
 The camera starts 0.5 to 0.6 m from the object, at an azimuth of 180 +- 20 degrees, and fixates its axis at the `level`. The
 question is about one outline of the object (or, sometimes, of the box): the edge furthest to its left or right in the plane
 through the camera's centre that holds the fixation point and the horizontal across the line of sight. That is the epipolar
-plane of a camera that moves sideways and keeps fixating.
+plane of a camera that moves sideways and keeps fixating. An edge of the box that is asked about stays the one asked about; at the
+start no other edge is seen in line with it, and it is high enough to cross the plane from wherever one looks.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -26,6 +28,9 @@ DISTANCE, ELEVATION = (0.5, 0.6), (np.radians(5), np.radians(20))
 AZIMUTH = np.radians(20)  # of the camera from the negative x axis, at most
 FIXED = 0.25  # how often the question is about the box
 SLANT = 0.6  # cosine of the angle between ray and meridian on a lathe, at most: the outline is not end-on
+BOX_HEIGHT = (0.14, 0.17)  # [m]: the plane of the question rises towards the camera
+APART = 0.025  # [rad] between the edge that may be asked about and others
+HIDES = 1e-3  # share of the way, by which what hides a point is nearer
 CLUTTER_GAP, CLUTTER_RING = 0.04, (0.15, 0.4)  # [m]
 
 
@@ -38,7 +43,7 @@ class InspectTruth:
         point: (3,) contact point [m], world.
         normal: (3,) outward unit normal there.
         radius: of curvature of the section in the plane of the question [m]; 0 for fixed features.
-        visible: false where another object hides the point.
+        visible: false where an object hides the point.
     """
 
     kind: Kind
@@ -96,6 +101,9 @@ class InspectSetup:
 def inspect_truth(setup: InspectSetup, T_world_camera: RigidTransform) -> InspectTruth:
     """The answer from exact geometry (`extremal.scenes.Truth`) for one camera pose.
 
+    A contour generator slides over the object as the camera moves and stays its outline. An edge of the box doesn't: the question
+    stays about the edge that is the outline at the start, though from elsewhere another may be.
+
     Raises:
         InvalidInput: not one finite pose.
         DegenerateGeometry: the camera is above or below the fixation point, or the target has no outline in the plane.
@@ -103,6 +111,31 @@ def inspect_truth(setup: InspectSetup, T_world_camera: RigidTransform) -> Inspec
     if not T_world_camera.single or not np.all(np.isfinite(T_world_camera.as_matrix())):
         raise InvalidInput("T_world_camera is not one finite pose; accepted: a single transform")
     centre = T_world_camera.translation
+    target = setup.scene[setup.target]
+    curves = visible_edges([target], centre)
+    if isinstance(target, Box):
+        start = setup.T_world_camera.translation
+        asked = _outline(setup, visible_edges([target], start), start)[0].name
+        curves = [
+            replace(c, visible=np.ones_like(c.visible)) for c in target.fixed_curves() if c.name == asked
+        ]
+    _, ray, tangent, plane = _outline(setup, curves, centre)
+    truth = match([target], curves, centre, ray[None], tangent[None], plane[None], tolerance=0.002)
+    if not truth.matched[0]:
+        raise DegenerateGeometry(
+            f"the outline of {setup.target!r} is not definite seen from {centre.tolist()}"
+        )
+    ray = truth.point[0] - centre
+    hidden = any(surface.intersect(centre, ray[None])[0] < 1 - HIDES for surface in setup.scene.objects)
+    kind: Kind = str(truth.kind[0])  # pyright: ignore[reportAssignmentType]
+    return InspectTruth(kind, truth.point[0], truth.normal[0], float(truth.radius[0]), not hidden)
+
+
+def _outline(
+    setup: InspectSetup, curves: Sequence[SurfaceCurve], centre: Array
+) -> tuple[SurfaceCurve, Array, Array, Array]:
+    """Where the plane of the question seen from `centre` crosses the outermost of curves: the curve, the unit ray (3,), the
+    tangent plane's normal (3,), and the plane's (3,)."""
     ahead = setup.fixation - centre
     right = np.cross(ahead, [0.0, 0.0, 1.0])
     if not np.linalg.norm(right) > 1e-3:
@@ -111,26 +144,15 @@ def inspect_truth(setup: InspectSetup, T_world_camera: RigidTransform) -> Inspec
         )
     right /= np.linalg.norm(right)
     plane = np.cross(right, ahead) / np.linalg.norm(ahead)
-    target = setup.scene[setup.target]
-    curves = visible_edges([target], centre)
     sign = -1.0 if setup.side == "left" else 1.0
     outer = max(
-        (found for curve in curves for found in _crossings(curve, centre, plane)),
-        key=lambda found: sign * np.arctan2(found[0] @ right, found[0] @ ahead),
+        ((curve, *found) for curve in curves for found in _crossings(curve, centre, plane)),
+        key=lambda found: sign * np.arctan2(found[1] @ right, found[1] @ ahead),
         default=None,
     )
     if outer is None:
         raise DegenerateGeometry(f"{setup.target!r} has no outline in the plane seen from {centre.tolist()}")
-    truth = match([target], curves, centre, outer[0][None], outer[1][None], plane[None], tolerance=0.002)
-    if not truth.matched[0]:
-        raise DegenerateGeometry(
-            f"the outline of {setup.target!r} is not definite seen from {centre.tolist()}"
-        )
-    ray = truth.point[0] - centre
-    others = [surface for surface in setup.scene.objects if surface.name != setup.target]
-    hidden = any(other.intersect(centre, ray[None])[0] < 1 - 1e-6 for other in others)
-    kind: Kind = str(truth.kind[0])  # pyright: ignore[reportAssignmentType]
-    return InspectTruth(kind, truth.point[0], truth.normal[0], float(truth.radius[0]), not hidden)
+    return *outer, plane
 
 
 def _crossings(curve: SurfaceCurve, centre: Array, plane: Array) -> list[tuple[Array, Array]]:
@@ -168,15 +190,29 @@ def _outlined(surface: Surface, centre: Array) -> bool:
 
 
 def _box(surface: Surface, centre: Array, side: int, rng: np.random.Generator) -> Box:
-    """A box on one side (1: left) of the object as seen from the start, level with it or behind."""
-    size = np.append(rng.uniform(0.04, 0.07, 2), rng.uniform(0.1, 0.15))
+    """A box on one side (1: left) of the object as seen from the start, level with it or behind; of its upright edges, none is
+    seen in line with the outer one."""
+    size = np.append(rng.uniform(0.04, 0.07, 2), rng.uniform(*BOX_HEIGHT))
     aside = np.radians(90 + rng.uniform(0, 30))
     azimuth = np.arctan2(centre[1], centre[0]) - side * aside
     reach = float(np.max(np.linalg.norm(Section.of(surface, LEVEL).points[:, :2], axis=1)))
     distance = reach + 0.03 + float(np.hypot(*size[:2])) / 2 + rng.uniform(0, 0.02)
-    return standing_box(
-        size, distance * np.array([np.cos(azimuth), np.sin(azimuth)]), rng.uniform(-np.pi, np.pi)
-    )
+    place = distance * np.array([np.cos(azimuth), np.sin(azimuth)])
+    for _ in range(TRIES):
+        turn = rng.uniform(-np.pi, np.pi)
+        if _outer_edge_apart(size, place - centre[:2], turn, side):
+            break
+    return standing_box(size, place, turn)  # pyright: ignore[reportPossiblyUnboundVariable]
+
+
+def _outer_edge_apart(size: Array, ahead: Array, turn: float, side: int) -> bool:
+    """Whether the outermost upright edge of a box is seen APART from the others; `ahead` (2,) [m] leads from the camera to it."""
+    corners = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * size[:2] / 2
+    cos, sin = np.cos(turn), np.sin(turn)
+    ray = ahead + corners @ np.array([[cos, sin], [-sin, cos]])
+    left = np.array([-ahead[1], ahead[0]])
+    bearing = np.sort(side * np.arctan2(ray @ left, ray @ ahead))
+    return bool(bearing[-1] - bearing[-2] > APART)
 
 
 def _furnished(

@@ -1,5 +1,6 @@
 """`extremal/Navigate-v0`: around an unknown curved obstacle to a goal that it hides."""
 
+import math
 from typing import Any
 
 import gymnasium as gym
@@ -8,8 +9,9 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
 from extremal.scenes import Scene
-from extremal.sim import fixating
-from extremal.tasks.clearance import between, gap
+from extremal.sim import ArmErrors, fixating
+from extremal.tasks.carried import repeatability
+from extremal.tasks.clearance import Clearance, between
 from extremal.tasks.environment import ActiveVisionEnv, Observation
 from extremal.tasks.metrics import path_ratio, regret, spl
 from extremal.tasks.navigate_setup import NavigateSetup
@@ -83,12 +85,16 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
     def _draw(self, seed: int, tier: Tier) -> NavigateSetup:
         return NavigateSetup.draw(seed, tier)
 
+    def _scatter(self, errors: ArmErrors) -> Array:
+        return repeatability(errors)
+
     def _scene(self) -> tuple[Scene, RigidTransform]:
         return self.setup.scene, self.setup.T_world_camera
 
     def _begin(self) -> None:
         self._best = 0.0
-        self._clearance = self._gap(self.actual.translation[None])
+        self._near = Clearance(self.scene, self.setup.radius)
+        self._near.take_in(self.actual.translation[None])
         self._whole = float(np.linalg.norm(self.setup.goal - self.actual.translation))
         self._trace = [self.actual.translation.copy()]
 
@@ -100,7 +106,7 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
 
     def _judge(self, action: Array, before: RigidTransform) -> tuple[float, bool, bool]:
         here = self.actual.translation
-        self._clearance = min(self._clearance, self._gap(between(before.translation, here)))
+        self._near.take_in(between(before.translation, here))
         self._trace.append(here.copy())
         success = self._clearance > 0 and self._distance <= ARRIVED
         reward = 0.5 * self._progress() if self.reward_mode == "shaped" and self._clearance > 0 else 0.0
@@ -109,17 +115,18 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
 
     def _progress(self) -> float:
         """By how much the share of the way that is done exceeds its best so far."""
-        done = float(np.clip(1 - self._distance / self._whole, 0, 1))
+        done = min(max(1 - self._distance / self._whole, 0.0), 1.0)
         gained = max(done - self._best, 0.0)
         self._best += gained
         return gained
 
     @property
     def _distance(self) -> float:
-        return float(np.linalg.norm(self.setup.goal - self.actual.translation))
+        return math.dist(self.setup.goal, self.actual.translation)
 
-    def _gap(self, points: Array) -> float:
-        return gap(self.scene, points, self.setup.radius)
+    @property
+    def _clearance(self) -> float:
+        return self._near.smallest
 
     def _metrics(self) -> dict[str, float]:
         setup, shortest, done = self.setup, self.setup.optimum.length, self.is_success

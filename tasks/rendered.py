@@ -1,17 +1,20 @@
 """A sensor that looks: frames rendered by MuJoCo, through the real vision pipeline."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
+from threadpoolctl import ThreadpoolController
 
 from extremal.estimator.camera import Array, Camera, View
-from extremal.estimator.contours import SYSTEMATIC
+from extremal.estimator.contours import SYSTEMATIC, Contours, find_contours
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.estimates import OVERLAP
 from extremal.estimator.sequential import SequentialShape
 from extremal.scenes import Scene
+from extremal.scenes.grids import MEASURED, QUICK
 from extremal.sim import FrameRenderer, Quality, Sensor, scene_model
 from extremal.sim.quality import get_quality
 from extremal.tasks.edge_model import PREVIEW, EdgeModel
@@ -31,7 +34,10 @@ FINE = replace(
     PREVIEW, sigma_px=SYSTEMATIC, fixed_sigma_px=SYSTEMATIC, bias_px=SYSTEMATIC
 )  # edges in frames that are sampled finely
 APART = round(OVERLAP)  # edgels along a contour from which on errors are independent
+NEAREST = 0.06  # [m] of depths: past an obstacle at the wanted clearance, tangents are as short
 MOST = 64  # tracks that are estimated, more or less
+
+_Look = tuple[View, Contours]  # its contours are found once for all sets of tracks
 
 
 class RenderedSensor:
@@ -42,13 +48,14 @@ class RenderedSensor:
     ) -> None:
         self._quality, self._sensor, self._spacing = quality, sensor or Sensor(), checked_spacing(spacing)
         self._renderer: FrameRenderer | None = None
-        self._sets: TrackSets[View] | None = None
+        self._sets: TrackSets[_Look] | None = None
 
     def reset(self, scene: Scene, camera: Camera, rng: np.random.Generator) -> None:
         """See `FeatureSensor`; raises RenderingError where there is no offscreen rendering."""
         self.close()
-        edges = PREVIEW if get_quality(self._quality).supersampling == 1 else FINE
-        self._renderer = FrameRenderer(scene_model(scene.to_spec()), camera, self._quality).__enter__()
+        coarse = get_quality(self._quality).supersampling == 1
+        edges, facets = (PREVIEW, QUICK) if coarse else (FINE, MEASURED)
+        self._renderer = FrameRenderer(scene_model(scene.to_spec(facets)), camera, self._quality).__enter__()
         self._camera, self._seed, self._looks = camera, rng.integers(2**63, size=2), 0
         self._sets = TrackSets(lambda: _Tracks(edges), self._spacing)
         self._pose, self._frame = None, None
@@ -65,9 +72,8 @@ class RenderedSensor:
         self._looks += 1
         if not self._sets.is_new(centre):
             return self._sets.features
-        return self._sets.take_in(
-            View(self._camera, T_world_camera_believed, self._image(), pose_covariance), centre
-        )
+        view = View(self._camera, T_world_camera_believed, self._image(), pose_covariance)
+        return self._sets.take_in((view, find_contours(view.image, view.camera)), centre)
 
     @property
     def frame(self) -> NDArray[np.uint8] | None:
@@ -95,16 +101,32 @@ class _Tracks(SequentialShape):
     """One set of tracks: matched view by view as in the sequential estimate; `SectionTracks` estimates and tells."""
 
     def __init__(self, edges: EdgeModel) -> None:
-        super().__init__(FIRST_LOOKS)
+        super().__init__(FIRST_LOOKS, nearest=NEAREST)
         self._edges = edges
         # [px] of a limb or a fixed edge, which is not known
         self._least = np.hypot(edges.sigma_px, edges.fixed_sigma_px) / np.sqrt(2)
         self._sections: SectionTracks | None = None
         self._root = PoseRoots()
 
-    def take_in(self, look: View) -> None:
-        self._baseline = first_baseline(look.pose_covariance)
-        self.update(look)
+    def take_in(self, look: _Look) -> None:
+        view, contours = look
+        if not self.started:
+            self._baseline = first_baseline(view.pose_covariance)
+            self.update(view, contours)
+            return
+        with _blas().limit(limits=1, user_api="blas"):
+            self._follow(view, contours)
+
+    def _begin(self) -> None:
+        """From here on only the points that are estimated are followed."""
+        super()._begin()
+        rows, circles = self._rows, self._circles
+        self._planes = circles.planes = self._planes.take(rows)
+        for name in ("information", "vector", "covariance", "state"):
+            setattr(circles, name, getattr(circles, name)[rows])
+        for name in ("_direction", "_loose", "_pixels"):
+            setattr(self, name, getattr(self, name)[rows])
+        self._rows = np.arange(len(rows))
 
     def _absorb(self, view: View, normals: Array, sigma: Array) -> None:
         """Of the contour points a few, whose errors are their own, in place of all in a `ContourFilter`."""
@@ -132,6 +154,12 @@ class _Tracks(SequentialShape):
         if self._sections is None:
             return Features.empty()
         return self._sections.features(self._pixels[self._rows])
+
+
+@cache
+def _blas() -> ThreadpoolController:
+    """To look for the libraries takes milliseconds: once a process."""
+    return ThreadpoolController()
 
 
 def _thinned(contour: NDArray[np.integer]) -> NDArray[np.integer]:

@@ -1,50 +1,30 @@
-"""Sections and camera poses from all looks of a set of tracks at once, anew with every look.
+"""Sections and camera poses from all looks of a set of tracks at once, with every look.
 
-    w (n.(v - o) - (a s + b q + (rho - a) R)) = noise,    T = T_believed exp(root z),  z ~ N(0, I)
-
-is the adjustment of `estimator.adjustment`, of a few dozen tracks: they are so few that the dense system of their unknowns
-theta = (s, q, R) is solved in about a millisecond, once the poses are eliminated look by look. `ContourFilter`, which is made
-for hundreds of tracks, linearises a look but once: with few tracks and poses that are off by 1 mm and 1 mrad, the path that it
-finds is bent across the sections' planes, by several of its standard deviations. Every Gauss-Newton step here starts from
-what the last one found, so that a look takes but a few.
+It is the adjustment of `estimator.adjustment`, of a few dozen tracks: they are so few that the dense system of their unknowns
+theta = (s, q, R) is solved in a fraction of a millisecond, once the poses are eliminated look by look (`section_rows`).
+`ContourFilter`, which is made for hundreds of tracks, linearises a look but once: with few tracks and poses that are off by
+1 mm and 1 mrad, the path that it finds is bent across the sections' planes, by several of its standard deviations. Here a
+look keeps its linear equations only as long as the sections stay where they were, and looks do not become many more.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
-from numpy.typing import NDArray
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import LinAlgError
+from scipy.linalg.lapack import dpotrf, dpotri, dpotrs  # pyright: ignore[reportAttributeAccessIssue]
 
-from extremal.estimator.adjustment import LOOSE, robust_factor
+from extremal.estimator.adjustment import LOOSE
 from extremal.estimator.camera import Array
-from extremal.estimator.poses import pose_exp
-from extremal.estimator.slant import smoothed_tangent_planes
+from extremal.tasks.section_rows import Looks, SectionModel, Sums, Told, fitting_poses
+from extremal.tasks.section_solution import Solution, Spread
 
 MOST_LOOKS = 60  # that are kept: of more, the one goes whose neighbours are nearest to each other
-EARLY, EARLY_STEPS, STEPS = (
-    12,
-    3,
-    2,
-)  # looks until which more steps are taken than later; before, no look is an outlier
-ACROSS_PRIOR, DEPTH_PRIOR, RADIUS_PRIOR = (
-    0.1,
-    0.06,
-    0.06,
-)  # sigma of s [m], of q as a fraction of the distance, of R [m]
+EARLY = 12  # looks, before which none is an outlier
+FIRST_STEPS = 2  # from nothing known
+RECENT = 8  # looks that are linearised anew with every look
+MOVED = 0.002  # [m] by which half of the sections have moved when all looks are linearised anew,
+GROWTH = 1.25  # or factor on the number of looks
+SPREAD_GROWTH = 1.08  # factor on the number of looks, after which covariances are computed anew
+ACROSS_PRIOR, DEPTH_PRIOR, RADIUS_PRIOR = 0.1, 0.06, 0.06  # sigma of s [m], q (share of the distance), R [m]
 LARGEST_RADIUS = 0.3  # [m] at which looks are linearised
-ROUNDING = 1e-7  # of its information that a section is given besides, so that rounding leaves it positive
-
-
-@dataclass(frozen=True, eq=False)
-class Sections:
-    """n sections: theta (n, 3) = (s, q, R) [m] with covariance (n, 3, 3), and of R alone: radius, sigma (n,), of a reference
-    what the others make of it; valid (n,)."""
-
-    theta: Array
-    covariance: Array
-    radius: Array
-    sigma: Array
-    valid: NDArray[np.bool_]
 
 
 class SectionSmoother:
@@ -65,14 +45,22 @@ class SectionSmoother:
                 it has turned by `turn` [rad]: as many looks as the arc holds average them, not more.
             noisy_slant: whether the direction of a contour is measured with errors of its own, to be smoothed (`slant`).
         """
-        self._noisy_slant = noisy_slant
         n = len(origin)
-        self._origin, self._frame, self._distance = origin, frame, distance
-        self._systematic, self._turn = systematic, turn
         self.fixed = np.zeros(n, bool)
-        self._theta = np.zeros((n, 3))
-        self._believed, self._root, self._z = np.zeros((0, 4, 4)), np.zeros((0, 6, 0)), np.zeros((0, 0))
-        self._normals, self._sigma = np.zeros((0, n, 3)), np.zeros((0, n))
+        self._model = SectionModel(origin, frame, distance, systematic, turn, noisy_slant)
+        self._distance = distance
+        # where little is known, a step may lead out of what the linear model means
+        self._reach = np.stack([LOOSE * distance] * 2 + [np.full(n, LARGEST_RADIUS)], axis=1)
+        # objects stand on tables, near where they were first seen
+        prior = [np.full(n, ACROSS_PRIOR), DEPTH_PRIOR * distance, np.full(n, RADIUS_PRIOR)]
+        self._prior = np.stack(prior, axis=1) ** -2.0
+        self._theta = self._at = np.zeros((n, 3))  # now, and where looks were linearised
+        self._looks: list[Looks] = []
+        self._told: list[Told] = []  # of the first looks; the others wait
+        self._settled = self._sums = Sums.prior(self._prior)  # of all but the latest looks, and of all
+        self._settled_looks, self._repeats = 0, np.zeros(n)
+        self._due = self._spread_due = 0.0  # number of looks
+        self._spread: Spread | None = None
         self.count = 0
 
     def update(self, believed: Array, root: Array, normals: Array, sigma: Array) -> None:
@@ -83,164 +71,84 @@ class SectionSmoother:
             normals: (n, 3) unit normals of the tangent planes in the camera frame, on the side of N_0.
             sigma: (n,) [rad] of the planes' angles about the camera centre; infinite where unseen.
         """
-        if self.count == 0:
-            self._root, self._z = np.zeros((0, *root.shape)), np.zeros((0, root.shape[1]))
-        self._believed = np.concatenate([self._believed, believed[None]])
-        self._root = np.concatenate([self._root, root[None]])
-        self._z = np.concatenate([self._z, np.zeros((1, root.shape[1]))])
-        self._normals = np.concatenate([self._normals, normals[None]])
-        self._sigma = np.concatenate([self._sigma, sigma[None]])
+        self._looks.append(Looks.one(believed, root, normals, sigma))
         self.count += 1
-        if len(self._z) > MOST_LOOKS:
+        if len(self._looks) > MOST_LOOKS:
             self._leave_one_out()
 
     def _leave_one_out(self) -> None:
-        centres = self._believed[:, :3, 3]
+        centres = np.array([look.believed[0, :3, 3] for look in self._looks])
         gap = np.linalg.norm(centres[2:] - centres[:-2], axis=1)
-        keep = np.arange(len(centres)) != 1 + int(np.argmin(gap))
-        for name in ("_believed", "_root", "_z", "_normals", "_sigma"):
-            setattr(self, name, getattr(self, name)[keep])
+        i = 1 + int(np.argmin(gap))
+        del self._looks[i]
+        if i < self._settled_looks:
+            self._settled.add(self._told[i], -1.0)
+            self._settled_looks -= 1
+        del self._told[i : i + 1]
 
-    def solve(self) -> "Solution":
-        """Step from the last solution, and what is known of all sections."""
-        solution = self._step()
-        for _ in range((EARLY_STEPS if self.count < EARLY else STEPS) - 1):
-            solution = self._step()
-        return solution
+    def solve(self) -> Solution:
+        """Step from the last solution, and what is known of all sections. Without a new look, a further Gauss-Newton step."""
+        latest = len(self._looks) if self._model.noisy_slant else RECENT
+        if self._is_stale():
+            self._due = min(GROWTH * self.count, EARLY) if self.count < EARLY else GROWTH * self.count
+            for _ in range(1 if self._told else FIRST_STEPS):
+                self._linearise(len(self._looks))
+                self._step()
+            self._spread = None
+        else:
+            self._linearise(latest)
+            self._step()
+        # a new look is weighed by how far it is from what is known with it, not from what was known before
+        self._linearise(latest)
+        theta = self._step()
+        if self._spread is None or self.count >= self._spread_due:
+            self._spread = self._found_spread()
+            self._spread_due = SPREAD_GROWTH * self.count
+        return Solution(theta, self._spread)
 
-    def _step(self) -> "Solution":
-        X, O, y = self._rows()
-        n = len(self._theta)
-        blocks = np.einsum("vni,vnj->nij", X, X)
-        known = _resolved(blocks)
-        B = (np.swapaxes(X, 0, 1)[..., None] * np.swapaxes(O, 0, 1)[:, :, None]).transpose(0, 2, 1, 3)
-        inner = np.linalg.inv(np.eye(O.shape[2]) + np.swapaxes(O, 1, 2) @ O)
-        G = (B.reshape(3 * n, *B.shape[2:]).transpose(1, 0, 2) @ np.linalg.cholesky(inner)).transpose(1, 0, 2)
-        G = G.reshape(3 * n, -1)
-        pull = np.einsum("vnk,vn->vk", O, y)
-        right = np.einsum("vni,vn->ni", X, y) - np.einsum(
-            "nivk,vk->ni", B, np.einsum("vkl,vl->vk", inner, pull)
-        )
-        S = -G @ G.T
-        at = 3 * np.arange(n)[:, None] + np.arange(3)
-        S[at[:, :, None], at[:, None]] += blocks + (self._prior()[:, :, None] + ROUNDING * blocks) * np.eye(3)
-        P = cho_solve(cho_factor(S), np.eye(3 * n)) if n else S
-        solution = Solution((P @ right.ravel()).reshape(n, 3), P, blocks, known, self._distance)
-        # where little is known, a step may lead out of what the linear model means
-        reach = np.stack([LOOSE * self._distance] * 2 + [np.full(n, LARGEST_RADIUS)], axis=1)
-        self._theta = np.clip(solution.held(self.fixed).theta, -reach, reach)
-        left = pull - np.einsum("nivk,ni->vk", B, self._theta)
-        self._z = np.einsum("vkl,vl->vk", inner, left)
-        return solution
+    def _is_stale(self) -> bool:
+        if self._model.noisy_slant or self.count >= self._due or len(self._told) == len(self._looks):
+            return True
+        moved = np.abs(self._theta - self._at).max(axis=1) > MOVED
+        return bool(2 * np.count_nonzero(moved) > len(moved))
 
-    def _prior(self) -> Array:
-        """Information (n, 3) on s, q, R: they are those of objects that stand on tables, near where they were first seen."""
-        one = np.ones_like(self._distance)
-        return (
-            np.stack([ACROSS_PRIOR * one, DEPTH_PRIOR * self._distance, RADIUS_PRIOR * one], axis=1) ** -2.0
-        )
+    def _linearise(self, latest: int) -> None:
+        """Linearise the `latest` looks anew, those that wait among them: at what is known now."""
+        first = min(max(len(self._looks) - latest, 0), len(self._told))
+        looks, old = Looks.together(self._looks[first:]), self._told[first:]
+        if old:
+            looks.z[: len(old)] = fitting_poses(old, self._theta)
+        anew = first == 0
+        if anew:
+            self._at, self._repeats = self._theta, self._model.repeated(looks)
+        told = self._model.told(looks, self._theta, self._repeats, robust=self.count >= EARLY)
+        self._told[first:] = told.each()
+        settled = max(first, len(self._looks) - RECENT)
+        if anew:
+            self._settled = Sums.prior(self._prior)
+            self._settled.add(told.part(slice(settled)))
+        else:
+            for one in self._told[self._settled_looks : settled]:
+                self._settled.add(one)
+        self._settled_looks = settled
+        self._sums = self._settled.copy()
+        self._sums.add(told.part(slice(settled - first, None)))
 
-    def _rows(self) -> tuple[Array, Array, Array]:
-        """Rows y = X theta + O z + noise, in standard deviations: X (V, n, 3), O (V, n, K), y (V, n)."""
-        poses = self._believed @ _matrices(np.einsum("vik,vk->vi", self._root, self._z))
-        rotation, centre = poses[:, :3, :3], poses[:, :3, 3]
-        s, q, R = self._theta.T
-        normals = self._normals @ np.swapaxes(rotation, 1, 2)
-        if self._noisy_slant:
-            normals = self._smoothed(normals, centre)
-        a, b = np.einsum("vni,nji->jvn", normals, self._frame[:, :2])
-        rho = np.maximum(np.sqrt(a * a + b * b), 1e-9)
-        lever = centre[:, None] - self._origin
-        contact = np.stack([s - R + R * a / rho, q + R * b / rho], axis=-1)
-        arm = lever - np.einsum("vnj,nji->vni", contact, self._frame[:, :2])
-        X = np.stack([a, b, rho - a], axis=-1)
-        target = np.einsum("vni,vni->vn", normals, lever)
-        misses = target - np.einsum("vni,ni->vn", X, self._theta)
-        distance = np.sqrt(np.einsum("vni,vni->vn", arm, arm))
-        weight = 1 / (np.hypot(self._sigma, self._repeated(a / rho, b / rho)) * distance)
-        weight = weight * robust_factor(weight * misses) if self.count >= EARLY else weight
-        arm, seen = arm @ rotation, normals @ rotation
-        turn = seen[..., [1, 2, 0]] * arm[..., [2, 0, 1]] - seen[..., [2, 0, 1]] * arm[..., [1, 2, 0]]
-        own = np.concatenate([seen, turn], axis=-1) @ self._root
-        moved = np.einsum("vnk,vk->vn", own, self._z)
-        return X * weight[..., None], -own * weight[..., None], (target - moved) * weight
+    def _step(self) -> Array:
+        """Solve: theta (n, 3) where nothing is fixed."""
+        self._factor, failed = dpotrf(self._sums.matrix, lower=1)
+        if failed:
+            raise LinAlgError("the information on sections is not positive definite")
+        theta = dpotrs(self._factor, self._sums.right, lower=1)[0].reshape(-1, 3)
+        held = theta
+        if self.fixed.any():
+            spread = self._spread or self._found_spread()
+            held = Solution(theta, spread).held(self.fixed).theta
+        self._theta = np.minimum(np.maximum(held, -self._reach), self._reach)
+        return theta
 
-    def _smoothed(self, normals: Array, centre: Array) -> Array:
-        """World normals (V, n, 3) through the same lines in the sections' planes, with slants smoothed over the looks."""
-        at = self._origin + np.einsum("nj,nji->ni", self._theta[:, :2], self._frame[:, :2])
-        rays = at - centre[:, None]
-        # through the measured planes: a normal is perpendicular to its ray
-        rays = rays - np.einsum("vni,vni->vn", rays, normals)[..., None] * normals
-        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        seen = np.isfinite(self._sigma).T
-        smooth = smoothed_tangent_planes(
-            np.swapaxes(normals, 0, 1), np.swapaxes(rays, 0, 1), self._frame[:, 2], seen, 0
-        )
-        smooth = np.swapaxes(smooth, 0, 1)
-        return smooth * np.where(np.einsum("vni,vni->vn", smooth, normals) < 0, -1.0, 1.0)[..., None]
-
-    def _repeated(self, cosine: Array, sine: Array) -> Array:
-        """What is added to sigma (n,) [rad] in quadrature, for errors that repeat."""
-        phi = np.where(np.isfinite(self._sigma), np.arctan2(sine, cosine), np.nan)
-        seen = np.isfinite(self._sigma).sum(axis=0)
-        arc = np.where(seen > 0, np.fmax.reduce(phi, axis=0) - np.fmin.reduce(phi, axis=0), 0.0)
-        return self._systematic * np.sqrt(np.maximum(seen / (1 + arc / self._turn), 1.0))
-
-
-@dataclass(frozen=True, eq=False)
-class Solution:
-    """theta (n, 3) with covariance (3 n, 3 n), and blocks (n, 3, 3) of its information for known poses."""
-
-    theta: Array
-    covariance: Array
-    blocks: Array
-    known: NDArray[np.bool_]
-    distance: Array
-
-    def free(self) -> Sections:
-        """Nothing is fixed."""
-        return self._sections(self.theta, self.covariance, self.theta[:, 2], self._variance(self.covariance))
-
-    def held(self, fixed: NDArray[np.bool_]) -> Sections:
-        """The radii of sections `fixed` (n,) are zero."""
-        if not fixed.any():
-            return self.free()
-        at = 3 * np.flatnonzero(fixed) + 2
-        R, Q = self.theta.ravel()[at], np.linalg.inv(self.covariance[np.ix_(at, at)])
-        gain = self.covariance[:, at] @ Q
-        theta = (self.theta.ravel() - gain @ R).reshape(self.theta.shape)
-        covariance = self.covariance - gain @ self.covariance[at]
-        radius, variance = theta[:, 2].copy(), self._variance(covariance)
-        radius[fixed], variance[fixed] = (Q @ R) / np.diagonal(Q), 1 / np.diagonal(Q)
-        return self._sections(theta, covariance, radius, variance)
-
-    def shared(self) -> tuple[Array, Array]:
-        """Variance (n,) of each free radius for known poses, and (n, n) shared: radii i and j have the covariance
-        shared_i . shared_j besides."""
-        own = np.full(len(self.theta), np.inf)
-        own[self.known] = np.linalg.inv(self.blocks[self.known])[:, 2, 2]
-        rest = self.covariance[2::3, 2::3] - np.diag(np.where(self.known, own, 0.0))
-        values, vectors = np.linalg.eigh(rest)
-        return own, vectors * np.sqrt(np.maximum(values, 0.0))
-
-    @staticmethod
-    def _variance(covariance: Array) -> Array:
-        return np.maximum(np.diagonal(covariance)[2::3], 0.0)
-
-    def _sections(self, theta: Array, covariance: Array, radius: Array, variance: Array) -> Sections:
-        n = len(theta)
-        at = 3 * np.arange(n)[:, None] + np.arange(3)
-        each = covariance[at[:, :, None], at[:, None]]
-        valid = self.known & (np.sqrt(np.maximum(each[:, 0, 0] + each[:, 1, 1], 0.0)) < LOOSE * self.distance)
-        return Sections(theta, each, radius, np.where(valid, np.sqrt(variance), np.inf), valid)
-
-
-def _resolved(blocks: Array) -> NDArray[np.bool_]:
-    """Whether information (n, 3, 3) determines all three unknowns better than the prior does."""
-    scale = np.sqrt(np.einsum("nii->ni", blocks))
-    unit = blocks / np.maximum(scale[:, :, None] * scale[:, None], 1e-300)
-    return (scale.min(axis=1, initial=np.inf) > 0) & (np.linalg.det(unit) > 1e-12)
-
-
-def _matrices(twists: Array) -> Array:
-    return pose_exp(twists).as_matrix() if len(twists) else np.zeros((0, 4, 4))
+    def _found_spread(self) -> Spread:
+        lower = dpotri(self._factor, lower=1)[0]  # the other triangle is zero
+        covariance = lower + lower.T
+        np.einsum("ii->i", covariance)[:] *= 0.5
+        return Spread(covariance, self._sums.blocks, self._distance)

@@ -13,7 +13,8 @@ from extremal.estimator.estimates import DRIFT
 from extremal.estimator.references import bootstrap
 from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features, Radii, labelled
-from extremal.tasks.section_smoother import Sections, SectionSmoother
+from extremal.tasks.section_smoother import SectionSmoother
+from extremal.tasks.section_solution import Sections
 
 LEAST_TILT = (
     0.5  # sine of the angle between contour and epipolar line: what pose errors do to less is not linear
@@ -50,7 +51,7 @@ class SectionTracks:
         self._drift = DRIFT * distance / focal
         self._looks, self._due = 0, float(FIRST_BOOTSTRAP)
         n = len(origin)
-        self._normals: list[Array] = []  # (n, 3) of every look, in the world; zero where unseen
+        self._normals = np.zeros((32, n, 3))  # of every look, in the world; zero where unseen
         self._first, self._last = np.full(n, np.inf), np.full(n, -np.inf)
         self._views, self.visible = np.zeros(n, int), np.zeros(n, bool)
 
@@ -60,14 +61,15 @@ class SectionTracks:
         Planes that hardly cross those of their sections are left out.
         """
         there = normals @ believed[:3, :3].T
-        tilt = np.sqrt(np.maximum(1 - np.einsum("ni,ni->n", there, self._frame[:, 2]) ** 2, 0.0))
-        seen = np.isfinite(sigma) & (tilt > LEAST_TILT)
+        a, b, up = (self._frame @ there[..., None])[..., 0].T
+        seen = np.isfinite(sigma) & (up * up < 1 - LEAST_TILT**2)
         self._smoother.update(believed, root, normals, np.where(seen, sigma, np.inf))
-        N, T = self._frame[:, 0], self._frame[:, 1]
-        phi = np.arctan2(np.einsum("ni,ni->n", there, T), np.einsum("ni,ni->n", there, N))
+        phi = np.arctan2(b, a)
         self._first = np.where(seen, np.minimum(self._first, phi), self._first)
         self._last = np.where(seen, np.maximum(self._last, phi), self._last)
-        self._normals.append(np.where(seen[:, None], there, 0.0))
+        if self._looks == len(self._normals):
+            self._normals = np.concatenate([self._normals, np.zeros_like(self._normals)])
+        self._normals[self._looks] = np.where(seen[:, None], there, 0.0)
         self._views += seen
         self.visible = seen
         self._looks += 1
@@ -78,24 +80,27 @@ class SectionTracks:
         n = len(self._origin)
         if n == 0:
             return Features.empty()
-        with np.errstate(invalid="ignore"):  # inf - inf where nothing was seen
-            phi = np.where(self._views > 0, (self._first + self._last) / 2, 0.0)
+        phi = np.zeros(n)
+        np.add(self._first, self._last, out=phi, where=self._views > 0)
+        phi *= 0.5
+        arc = _Arc(self._origin, self._frame, phi)
         solution = self._smoother.solve()
-        free = solution.free()
+        free = solution.free
         if self._looks >= self._due:
             self._due = self._looks * BOOTSTRAP_GROWTH
-            own, shared = solution.shared()
+            own, shared = solution.spread.shared()
             own = np.where(free.valid, own, np.inf)
             self._smoother.fixed = bootstrap(free.radius, own, shared, self._contour).fixed
         fixed = self._smoother.fixed
-        held = None
+        held, ratio = None, 1.0
         if fixed.any():
-            found = solution.held(fixed)
-            held = self._radii(found, phi, _birge_ratio(found, fixed))
+            held = solution.held(fixed)
+            ratio = _birge_ratio(held, fixed)
         return labelled(
-            self._radii(free, phi),
-            held,
-            self._normal(phi),
+            self._radii(free, 1.0),
+            None if held is None else self._radii(held, ratio),
+            *arc.contacts(held or free, ratio),
+            self._normal(arc),
             self._frame[:, 2],
             fixed.copy(),
             self._contour,
@@ -104,31 +109,36 @@ class SectionTracks:
             self._views.copy(),
         )
 
-    def _normal(self, phi: Array) -> Array:
-        """Surface normals (n, 3) where those in the sections point at phi (n,): slanted as in the look that comes nearest."""
-        seen = np.array(self._normals)
-        at = self._in_plane(phi)
-        nearest = np.argmax(np.einsum("vni,ni->vn", seen, at), axis=0)
-        normal = seen[nearest, np.arange(len(phi))]
-        up = self._frame[:, 2]
-        a, b = np.einsum("ni,ni->n", normal, at), np.einsum("ni,ni->n", normal, up)
-        scale = np.maximum(np.hypot(a, b), 1e-12)
-        return (np.where(a == 0, 1.0, a / scale))[:, None] * at + (b / scale)[:, None] * up
+    def _radii(self, found: Sections, ratio: float) -> Radii:
+        return Radii(found.radius, np.hypot(ratio * found.sigma, self._drift))
 
-    def _in_plane(self, phi: Array) -> Array:
-        return np.cos(phi)[:, None] * self._frame[:, 0] + np.sin(phi)[:, None] * self._frame[:, 1]
+    def _normal(self, arc: "_Arc") -> Array:
+        """Surface normals (n, 3) where those in the sections point at phi: slanted as in the look that comes nearest."""
+        seen, up = self._normals[: self._looks], self._frame[:, 2]
+        nearest = np.argmax(np.vecdot(seen, arc.normal), axis=0)
+        normal = seen[nearest, np.arange(len(up))]
+        a, b = np.vecdot(normal, arc.normal), np.vecdot(normal, up)
+        scale = np.maximum(np.sqrt(a * a + b * b), 1e-12)
+        return np.where(a == 0, 1.0, a / scale)[:, None] * arc.normal + (b / scale)[:, None] * up
 
-    def _radii(self, found: Sections, phi: Array, ratio: float = 1.0) -> Radii:
-        """Radii and the contact points (n, 3) at phi (n,): o + s N_0 + q T_0 + R (N(phi) - N_0)."""
-        plane = self._frame[:, :2]
-        at = found.theta[:, :2] + found.theta[:, 2:] * np.stack([np.cos(phi) - 1, np.sin(phi)], axis=1)
-        J = np.zeros((len(phi), 2, 3))
-        J[:, 0, 0], J[:, 1, 1], J[:, 0, 2], J[:, 1, 2] = 1, 1, np.cos(phi) - 1, np.sin(phi)
+
+class _Arc:
+    """Where contact points are told of: normals (n, 3) in the sections' planes, turned by phi (n,) from N_0."""
+
+    def __init__(self, origin: Array, frame: Array, phi: Array) -> None:
+        self._origin = origin
+        cos, sin = np.cos(phi)[:, None], np.sin(phi)[:, None]
+        N, T = frame[:, 0], frame[:, 1]
+        self.normal = cos * N + sin * T
+        self._J = np.stack([N, T, self.normal - N], axis=1)  # of a contact point by s, q, R
+
+    def contacts(self, found: Sections, ratio: float) -> tuple[Array, Array]:
+        """Contact points (n, 3) o + s N_0 + q T_0 + R (N(phi) - N_0) and covariances (n, 3, 3), sigma being `ratio` times as large."""
+        J = self._J
         spread = np.where(found.valid[:, None, None], found.covariance, 0.0)
-        covariance = ratio**2 * np.swapaxes(plane, 1, 2) @ J @ spread @ np.swapaxes(J, 1, 2) @ plane
+        covariance = J.swapaxes(1, 2) @ (ratio**2 * spread) @ J
         covariance[~found.valid] = np.inf
-        position = self._origin + np.einsum("ni,nij->nj", at, plane)
-        return Radii(found.radius, np.hypot(ratio * found.sigma, self._drift), position, covariance)
+        return self._origin + (found.theta[:, None] @ J)[:, 0], covariance
 
 
 def _birge_ratio(found: Sections, fixed: NDArray[np.bool_]) -> float:

@@ -15,7 +15,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from extremal.estimator.errors import InvalidInput
-from extremal.sim import ArmErrors, get_arm
+from extremal.sim import get_arm
 from extremal.sim.arm_errors import ArmName
 from extremal.tasks.objects import FAMILIES, HELD_OUT, LATHES, TRAINING, Family, checked_family
 
@@ -35,7 +35,7 @@ class Tier:
         name: with its version; made by `with_options` it ends in "+" and the options.
         families: of the obstacle or vase, equally likely.
         arm_bias: preset of `extremal.sim.ARMS` for what is wrong with the individual arm in all views alike.
-        arm_noise: preset for what is drawn anew in each view.
+        arm_noise: preset for what is drawn anew in each look (`carried` tells how much of it).
         edge_noise: factor, 0 to 20, on the noise of edges in the geometric sensor and of grey levels in the rendered one.
         crease: the fixed feature. "present": a box beside the object. "absent": none. "decoy": no box, but a stripe painted
             on the object itself near its contour generator and nearly parallel to it; it does not slip over the surface,
@@ -87,17 +87,6 @@ class Tier:
     def obstacles(self) -> tuple[Family, ...]:
         """The families that fit the tier: lathes alone if a decoy is painted on them."""
         return self.lathes if self.crease == "decoy" else self.families
-
-    @property
-    def arm_errors(self) -> ArmErrors:
-        """Bias of one preset, scatter of another."""
-        noise = get_arm(self.arm_noise)
-        return replace(
-            get_arm(self.arm_bias),
-            position=noise.position,
-            rotation=noise.rotation,
-            encoder_noise=noise.encoder_noise,
-        )
 
     def with_options(self, options: Mapping[str, Any] | None) -> "Tier":
         """The tier with some fields replaced.

@@ -8,6 +8,7 @@
   as it has its first looks. What the old set knew stays among the features, no longer visible, until the next change.
 """
 
+import math
 from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
@@ -59,7 +60,7 @@ class TrackSets(Generic[S]):
 
     def is_new(self, centre: Array) -> bool:
         """Whether a look from a believed centre (3,) [m] is far enough from the last one that was taken in."""
-        return not float(np.linalg.norm(centre - self._last)) < self._spacing
+        return not math.dist(centre, self._last) < self._spacing
 
     def take_in(self, look: S, centre: Array) -> Features:
         """Take in a look from a believed centre (3,) [m]."""
@@ -82,9 +83,9 @@ class TrackSets(Generic[S]):
 
     def _worn_out(self, centre: Array) -> bool:
         told = self._told
-        if len(told) == 0 or np.mean(told.visible) < LEAST_SEEN:
+        if len(told) == 0 or np.count_nonzero(told.visible) < LEAST_SEEN * len(told):
             return True
-        middle = np.median(told.position, axis=0)
+        middle = np.sort(told.position, axis=0)[len(told) // 2]
         before, now = self._origin - middle, centre - middle
         cosine = before @ now / max(float(np.linalg.norm(before) * np.linalg.norm(now)), 1e-12)
         return float(cosine) < np.cos(FARTHEST_TURN)

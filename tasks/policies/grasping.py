@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import InvalidInput, SceneError
 from extremal.tasks.grasp_motion import T_TABLE_BASE, CupKinematics
 from extremal.tasks.planning.belief import ArcBelief
 from extremal.tasks.planning.grasp import NoGrasp, plan_grasp
@@ -17,45 +17,60 @@ from extremal.tasks.policies.policy import Policy, RandomPolicy
 from extremal.tasks.spaces import POSE_TURN, REACH, SPEED, SeenFeatures
 
 AHEAD = 0.35  # [m] of the vase, at the start
-SWEEP, SPEEDING = 0.16, 0.6  # [m] of the path; share of the largest speed
+SHORT, LONG, SPEEDING = (
+    0.11,
+    0.16,
+    0.6,
+)  # [m] of a glance and of a path that leaves nothing out; share of the largest speed
 NEAR_LEVEL, LEAST_LOOKS = 0.05, 5  # [m] of the grasp's height, within which contours count
+ENOUGH, AGAIN = 0.0015, 3  # [m] sigma of R that will do, and ways more that are gone for it
 WORST = 0.03  # [m] sigma of R beyond which it says nothing
 MOST = 10  # beliefs that are passed on
 STEEPEST, LARGEST = 10.0, 0.12  # [1/m] of half a meridian's curvature; [m] of a radius: at most
 MEAN_RADIUS, SPREAD = 0.05, 0.015  # [m] of vases
+VASES = 0.02, 0.1  # [m] smallest and largest radius that a vase is believed to have
 SURE = 1e-4  # [m] sigma of those who take their R for certain
 HEIGHTS = 0.025  # [m] to either side of the level, in which the grasp may be
 UP = np.array([0.0, 0.0, 1.0])
 
 
 class Grasper:
-    """Looks from all along a sweep, then grasps.
+    """Looks from all along a sweep, and if need be again on the way back, then grasps.
 
     Args:
         radius: (radius, sigma) [m] of (n,) rows: what is taken for the section's.
+        step: [m] to whose multiples the vase's radius is rounded, and then taken for certain; None: it is not.
+        sweep: [m] how far it goes. again: how many times more it goes the same way, back and forth, while R is not well enough
+            known.
     """
 
-    def __init__(self, radius: Callable[[SeenFeatures], tuple[Array, Array]]) -> None:
-        self._radius = radius
+    def __init__(
+        self,
+        radius: Callable[[SeenFeatures], tuple[Array, Array]],
+        step: float | None = None,
+        sweep: float = SHORT,
+        again: int = 0,
+    ) -> None:
+        self._radius, self._step, self._sweep, self._again = radius, step, sweep, again
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
         self._start, self._arm = None, CupKinematics(T_TABLE_BASE)
+        self._left, self._to = self._again, 1.0
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
         pose = pose_of(observation)
         if self._start is None:
             self._start = pose
-        swept = float(np.linalg.norm(pose.translation - self._start.translation))
-        if swept >= SWEEP:
-            return self._grasp(observation)
-        # around the vase: to the camera's right, from where it is
-        velocity = SPEEDING * SPEED * pose.rotation.apply([1.0, 0.0, 0.0])
+        swept = float(self._start.inv().apply(pose.translation)[0])
+        if swept >= self._sweep if self._to > 0 else swept <= 0:
+            beliefs = self._beliefs(observation)
+            if self._left == 0 or (beliefs and min(b.sigma_radius for b in beliefs) < ENOUGH):
+                return grasp_at(self._arm, beliefs, pose.translation, observation)
+            self._left, self._to = self._left - 1, -self._to
+        # around the vase: to the camera's right, from where it is, and back
+        velocity = self._to * SPEEDING * SPEED * pose.rotation.apply([1.0, 0.0, 0.0])
         motion = steered(pose, velocity, self._start.apply([0.0, 0.0, AHEAD]))
         return np.concatenate([motion, [-1.0], np.zeros(6)])
-
-    def _grasp(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
-        beliefs, seen_from = self._beliefs(observation), pose_of(observation).translation
-        return grasp_at(self._arm, beliefs, seen_from, observation)
 
     def _beliefs(self, observation: Mapping[str, Any]) -> list[ArcBelief]:
         """The contour generator on the right, near the grasp's height."""
@@ -66,7 +81,7 @@ class Grasper:
         use = (seen.extremal > 0) & (seen.reference == 0) & (seen.looks >= LEAST_LOOKS) & (sigma < WORST)
         use &= (right > 0.6) & (np.abs(seen.position[:, 2] - level) < NEAR_LEVEL) & (radius > 0.012)
         use &= np.abs(seen.normal[:, 2]) < 0.5
-        rows = np.flatnonzero(use)
+        rows = _plainest(seen.contour, radius / sigma, np.flatnonzero(use))
         if len(rows) == 0:
             return []
         assert self._start is not None
@@ -75,6 +90,9 @@ class Grasper:
         )
         middle = np.median(around)
         good = (around > 0.01) & (np.abs(around - middle) < 0.5 * middle + 0.005)  # others stand elsewhere
+        if self._step is not None:
+            around = np.full_like(around, self._step * np.round(middle / self._step))
+            spread = np.full_like(around, SURE)
         near = np.argsort(np.abs(seen.position[rows, 2] - level))
         return [
             ArcBelief(
@@ -89,6 +107,15 @@ class Grasper:
         ]
 
 
+def _plainest(contour: Array, significance: Array, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Of rows (m,) those of the contour that is curved beyond doubt: a crease of the box may pass for one at 95 %."""
+    if len(rows) == 0:
+        return rows
+    numbers, which = np.unique(contour[rows], return_inverse=True)
+    best = numbers[np.argmax(np.bincount(which, significance[rows] ** 2))]
+    return rows[contour[rows] == best]
+
+
 def radius_around(
     radius: Array, sigma: Array, position: Array, normal: Array, eye: Array
 ) -> tuple[Array, Array]:
@@ -101,7 +128,7 @@ def radius_around(
     up = (ray[:, 2] / np.linalg.norm(ray, axis=1)) ** 2
     out = np.mean(normal * [1.0, 1.0, 0.0], axis=0)
     meridian = 0.0
-    if len(radius) >= 5 and np.ptp(position[:, 2]) > 0.02:
+    if len(radius) >= 3 and np.ptp(position[:, 2]) > 0.04:
         bend = np.polyfit(position[:, 2], position @ out / np.linalg.norm(out), 2)[0]
         meridian = -2.0 * float(np.clip(bend, -STEEPEST, STEEPEST))
     level = (1 / radius - up * meridian) / (1 - up)
@@ -147,16 +174,16 @@ def grasp_at(
             (low - generator + inside, high - generator - inside),
             (level - HEIGHTS, level + HEIGHTS),
         )
-    except (NoGrasp, InvalidInput, IndexError):
+    except (NoGrasp, InvalidInput, SceneError, IndexError):
         return np.concatenate([np.zeros(6), [1.0], np.zeros(6)])
     cup = plan.T_world_cup
     values = [*(cup.translation / REACH), *(cup.rotation.as_rotvec() / POSE_TURN)]
     return np.concatenate([np.zeros(6), [1.0], values])
 
 
-def to_the_centimetre(seen: SeenFeatures) -> tuple[Array, Array]:
-    """Without parallax, to the nearest centimetre."""
-    return np.maximum(np.round(seen.radius, 2), 0.013), np.where(seen.sigma < 1.0, SURE, 1.0)
+def without_parallax(seen: SeenFeatures) -> tuple[Array, Array]:
+    """Each contour's own, as far as vases go, and taken for certain."""
+    return np.clip(seen.radius, *VASES), np.where(seen.sigma < 1.0, SURE, 1.0)
 
 
 def mean_object(seen: SeenFeatures) -> tuple[Array, Array]:
@@ -167,8 +194,8 @@ def mean_object(seen: SeenFeatures) -> tuple[Array, Array]:
 BASELINES: dict[str, Callable[[], Policy]] = {
     "random": RandomPolicy,
     "oracle": Knowing,
-    "active": lambda: Grasper(best),
+    "active": lambda: Grasper(best, sweep=LONG, again=AGAIN),
     "parallax": lambda: Grasper(by_parallax),
-    "absolute": lambda: Grasper(to_the_centimetre),
+    "absolute": lambda: Grasper(without_parallax, step=0.01),
     "blind": lambda: Grasper(mean_object),
 }

@@ -9,10 +9,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from extremal.estimator.errors import InvalidInput
+from extremal.tasks import plugins
+
+GROUP = "extremal.policies"
+CHOICES = ("obs_mode", "action_mode")
 
 
 class Policy(Protocol):
-    """Acts in one environment, one episode after the other."""
+    """Acts in one environment, one episode after the other.
+
+    It may have an attribute `arguments`, a dict: the `obs_mode` and the `action_mode` that it wants.
+    """
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
         """A new episode begins; `rng` is the only randomness. Only an oracle looks into `env.unwrapped.setup`."""
@@ -34,21 +41,36 @@ class RandomPolicy:
 
 
 def load_policy(name: str, baselines: Mapping[str, Callable[[], Policy]]) -> Policy:
-    """A baseline by its name, or one of your own as "module:Class" (called without arguments).
+    """A baseline by its name, one that an installed package registers in the entry-point group `extremal.policies`, or one of your
+    own as "module:Class". It is called without arguments.
 
     Raises InvalidInput where there is none of that name.
     """
     if name in baselines:
         return baselines[name]()
-    if ":" not in name:
+    registered, (module, colon, attribute) = plugins.offered(GROUP), name.partition(":")
+    if name not in registered and not (module and colon):
+        known = ", ".join([*baselines, *registered])
         raise InvalidInput(
-            f"policy is {name!r}; accepted: {', '.join(baselines)}, or module:Class of your own"
+            f"policy is {name!r}; accepted: {known} (entry points of the group {GROUP} included), or module:Class of your own"
         )
-    module, _, attribute = name.partition(":")
     try:
-        made = getattr(importlib.import_module(module), attribute)()
+        own = name not in registered
+        made = (getattr(importlib.import_module(module), attribute) if own else plugins.load(GROUP, name))()
     except (ImportError, AttributeError, TypeError) as error:
         raise InvalidInput(f"policy {name!r} can't be made: {error}") from None
     if not (callable(getattr(made, "reset", None)) and callable(getattr(made, "act", None))):
         raise InvalidInput(f"policy {name!r} is a {type(made).__name__}; accepted: one with reset and act")
     return made
+
+
+def arguments_of(policy: Policy) -> dict[str, Any]:
+    """How a policy wants to observe and to act: its attribute `arguments`, if it has one.
+
+    Raises InvalidInput for other arguments of the environment than `CHOICES`: what is evaluated is not the policy's to choose.
+    """
+    wanted = dict(getattr(policy, "arguments", {}))
+    for key in wanted:
+        if key not in CHOICES:
+            raise InvalidInput(f"a policy's arguments hold {key!r}; accepted: {', '.join(CHOICES)}")
+    return wanted

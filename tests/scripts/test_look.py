@@ -174,7 +174,7 @@ def test_the_schema_finds_what_is_wrong(
 
 def test_pictures_and_frames(written: Path) -> None:
     out = written / "first"
-    assert sorted(p.name for p in out.iterdir()) == ["frames", "look.png", "result.json"]
+    assert sorted(p.name for p in out.iterdir()) == ["frames", "look.png", "report.html", "result.json"]
     frames = sorted((out / "frames").iterdir())
     assert [p.name for p in frames] == [f"{i:03d}.png" for i in range(VIEWS)]
     for path in frames:
@@ -289,6 +289,7 @@ def test_what_else_lies_in_the_folder_is_left_alone(folder: Path, here: Command)
     assert (folder / "foreign" / "thesis.txt").read_text() == "years of work"
     assert {p.name for p in (folder / "foreign").iterdir()} == {
         "thesis.txt",
+        "report.html",
         "result.json",
         "look.png",
         "frames",

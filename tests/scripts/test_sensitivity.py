@@ -81,6 +81,7 @@ def test_slopes_by_hand() -> None:
 
 def test_figures_are_png(folder: Path) -> None:
     assert {p.name for p in folder.iterdir()} == {
+        "report.html",
         "sensitivity.json",
         "edge.png",
         "position.png",

@@ -14,10 +14,12 @@ from extremal.tasks.track_sets import FARTHEST_TURN, PoseRoots, TrackSets, first
 def some(n: int, visible: float = 1.0) -> Features:
     """n features around the origin, of which a share is visible."""
     radius, sigma = np.linspace(-0.03, 0.03, n), np.full(n, 0.005)
-    radii = Radii(radius, sigma, np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    radii, at = Radii(radius, sigma), (np.zeros((n, 3)), np.zeros((n, 3, 3)))
     normal, count = np.tile([1.0, 0, 0], (n, 1)), np.arange(n)
     seen = np.arange(n) < visible * n
-    return labelled(radii, None, normal, normal, np.zeros(n, bool), count // 2, np.zeros((n, 2)), seen, count)
+    return labelled(
+        radii, None, *at, normal, normal, np.zeros(n, bool), count // 2, np.zeros((n, 2)), seen, count
+    )
 
 
 def test_radii_are_positive_about_the_normals() -> None:
@@ -31,10 +33,10 @@ def test_radii_are_positive_about_the_normals() -> None:
 
 def test_relative_radii_decide_where_there_are_references() -> None:
     n = 3
-    free = Radii(np.array([0.02, 0.02, 0.02]), np.full(n, 0.02), np.zeros((n, 3)), np.zeros((n, 3, 3)))
+    free, at = Radii(np.array([0.02, 0.02, 0.02]), np.full(n, 0.02)), (np.zeros((n, 3)), np.zeros((n, 3, 3)))
     held = replace(free, radius=np.array([-0.03, 0.0, 0.03]), sigma=np.full(n, 0.001))
     normal, no = np.tile([1.0, 0, 0], (n, 1)), np.zeros(n, bool)
-    told = labelled(free, held, normal, normal, no, np.arange(n), np.zeros((n, 2)), ~no, np.ones(n, int))
+    told = labelled(free, held, *at, normal, normal, no, np.arange(n), np.zeros((n, 2)), ~no, np.ones(n, int))
     np.testing.assert_array_equal(told.extremal, [True, False, True])
     np.testing.assert_allclose(told.best_radius, [0.03, 0, 0.03])
     np.testing.assert_allclose(told.radius, [-0.02, 0.02, 0.02])  # about the normal that is believed

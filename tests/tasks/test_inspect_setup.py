@@ -94,3 +94,24 @@ def test_hidden_targets_are_said_to_be_and_what_has_no_answer_is_refused() -> No
         inspect_truth(setup, RigidTransform.from_translation(np.add(setup.fixation, [0.01, 0, 0])))
     with pytest.raises(InvalidInput, match="not one finite pose"):
         inspect_truth(setup, RigidTransform.concatenate([pose, pose]))
+
+
+def test_the_question_stays_about_one_edge_of_the_box() -> None:
+    """Though from elsewhere another edge is the outline, or hides it; and at the start no other edge is in line with it."""
+    asked = [setup for s in range(60) if (setup := InspectSetup.draw(s, STANDARD)).target == "box"]
+    assert len(asked) >= 6
+    for setup in asked[:6]:
+        pose, camera = setup.T_world_camera, Camera()
+        start = inspect_truth(setup, pose)
+        corners = [c.points[0] for c in setup.scene["box"].fixed_curves() if np.ptp(c.points[:, 2]) > 0.02]
+        level = np.column_stack([np.array(corners)[:, :2], np.full(4, start.point[2])])
+        across = camera.project(pose.inv().apply(level))[:, 0]
+        mine = int(np.argmin(np.linalg.norm(level - start.point, axis=1)))
+        assert np.linalg.norm(level[mine] - start.point) < 1e-6
+        assert np.min(np.abs(np.delete(across, mine) - across[mine])) > 15
+        assert mine == (np.argmin(across) if setup.side == "left" else np.argmax(across))
+        for sideways in (-0.3, -0.15, 0.15, 0.3):
+            there = pose.apply([sideways, 0.0, 0.0])
+            answer = inspect_truth(setup, fixating(there[None], setup.fixation)[0])
+            assert np.linalg.norm(answer.point[:2] - start.point[:2]) < 1e-6
+            assert answer.is_fixed and answer.radius == 0

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from extremal.estimator.errors import InvalidInput
-from extremal.sim import get_arm
 from extremal.tasks.tiers import TEST_SEEDS, TIERS, TRAIN_SEEDS, get_tier
 
 STANDARD = TIERS["standard-v0"]
@@ -20,15 +19,6 @@ def test_tiers_are_named_and_versioned_and_seed_splits_are_disjoint() -> None:
     assert get_tier("noisy-v0") is TIERS["noisy-v0"]
     with pytest.raises(InvalidInput, match=r"'easy'.*standard-v0.*cluttered-v0"):
         get_tier("easy")
-
-
-def test_bias_and_noise_of_the_arm_are_told_apart() -> None:
-    poor, bias, noise = (TIERS[f"{n}-v0"].arm_errors for n in ("poor-calibration", "bias-only", "noise-only"))
-    assert poor == get_arm("poor")
-    for name in ("joint_offset", "link_length", "hand_eye_position", "hand_eye_rotation"):
-        assert getattr(bias, name) == getattr(poor, name) > 0 == getattr(noise, name)
-    for name in ("position", "rotation", "encoder_noise"):
-        assert getattr(noise, name) == getattr(poor, name) > 0 == getattr(bias, name)
 
 
 def test_options_replace_fields_by_name() -> None:

@@ -1,0 +1,58 @@
+"""The 3D view of a surface that was recovered: coloured by sigma and by its distance to the truth, which lies beneath."""
+
+from collections.abc import Sequence
+
+import matplotlib
+import numpy as np
+import trimesh
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from extremal.estimator import Camera
+from extremal.estimator.camera import Array
+from extremal.scenes import Scene
+from extremal.scripts.report_mesh import DisplayMesh
+from extremal.scripts.report_scene import Scene3D
+
+AWAY = 0.01  # [m] farther from all objects than that, a surface is not of the scene and has the last colour
+
+
+def surface_view(
+    scene: Scene,
+    camera: Camera,
+    T_world_camera: RigidTransform,
+    images: Sequence[NDArray[np.uint8]],
+    surface: trimesh.Trimesh,
+    sigma: Array,
+) -> tuple[Scene3D, str]:
+    """The view and what to say below it.
+
+    Args:
+        T_world_camera, images: (V) views that the surface was made from.
+        surface: in the world [m], of n vertices. sigma: (n,) their standard deviations along the normal [m].
+    """
+    view = Scene3D.beside(scene.target, T_world_camera.translation)
+    caption = "The camera on its way, and no surface: none was found."
+    if len(surface.faces):
+        error = true_distance(scene, np.array(surface.vertices))
+        seen = np.minimum(np.stack([error, sigma])[:, np.isfinite(error + sigma)], AWAY)
+        top = float(f"{max(np.percentile(seen, 95), 1e-6):.1g}") if seen.size else AWAY
+        view.mesh("surface/by distance to the truth", DisplayMesh.of(surface, colours_of(error, top)))
+        view.mesh("surface/by sigma", DisplayMesh.of(surface, colours_of(sigma, top)), visible=False)
+        caption = (
+            f"The surface, coloured by its distance to the truth: violet 0, yellow {1e3 * top:g} mm and more. The button at the lower "
+            "right opens the tree of parts: the surface by its sigma, in the same colours, and the true objects are hidden at first."
+        )
+    return view.objects(scene, opacity=0.6, visible=False).cameras(camera, T_world_camera, images), caption
+
+
+def true_distance(scene: Scene, points: Array) -> Array:
+    """Distance (n,) [m] of points (n, 3) from the nearest object's surface."""
+    return np.min([np.abs(surface.signed_distance(points)) for surface in scene.objects], axis=0)
+
+
+def colours_of(values: Array, top: float) -> NDArray[np.uint8]:
+    """Colours (n, 3) of values (n,) from 0 (violet) to `top` (yellow)."""
+    return np.asarray(matplotlib.colormaps["viridis"](np.clip(values / top, 0, 1), bytes=True), np.uint8)[
+        :, :3
+    ]

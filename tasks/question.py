@@ -1,0 +1,147 @@
+"""Which contour is asked about, as far as the robot knows, and what tracked features say of it.
+
+Features are tracked here and there along a contour. What is asked is where the contour crosses one plane, so that contact point
+and radius are interpolated along it; the features' own errors are much alike, those of the poses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from extremal.estimator.camera import Array, Camera
+from extremal.tasks.answers import Answer, contact_from, probability_extremal
+
+LEVEL, SIDE = (
+    45.0,
+    14.0,
+)  # [px] from where it is asked, along and across, of features that belong to a contour
+ALIKE = 4.0  # [px] across, within which the best known of contours is taken
+ALONG = 0.4  # sine of the angle between a contour and its chords, at most
+REACH = 0.06  # [m] from the plane of the question, of features that are interpolated
+BEYOND = 0.01  # [m] from the plane, within which features of one side alone are extrapolated
+LEAST_LOOKS = 5
+UNKNOWN = 1.0  # [m] sigma from which nothing is known
+SLID = 0.03  # [m] sigma of R from which contacts are moved over the surface
+AHEAD = 0.55  # [m] of the fixation point from where the question is asked, about
+# what a circle leaves of a section, and a parabola of a contour: share of R, and [m]
+ROUND, LEAST_SIGMA = 0.02, 3e-4
+Numbers = NDArray[np.integer] | NDArray[np.floating]
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """What is taken for known of n features.
+
+    Attributes:
+        position, normal: (n, 3) [m] and unit vectors; contour: (n,) number; looks: (n,) how many.
+        radius, sigma: (n,) [m] of the sections, about the normals.
+    """
+
+    position: Array
+    normal: Array
+    contour: Numbers
+    looks: Numbers
+    radius: Array
+    sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """The contour at one pixel of the first view.
+
+    Attributes:
+        camera: of the views.
+        first: T_world_camera of the first view, as it is believed to be.
+        query: (2,) pixel.
+    """
+
+    camera: Camera
+    first: RigidTransform
+    query: Array
+
+    def belongs(self, seen: Tracked) -> NDArray[np.bool_]:
+        """Which of n features lie on the contour: near the pixel, as the first view sees them."""
+        off, across = self._in_first_view(seen)
+        return _apart(off, across) < SIDE
+
+    def _in_first_view(self, seen: Tracked) -> tuple[Array, Array]:
+        """Where the first view sees n features, from the pixel, (n, 2) [px], infinite where it doesn't; and unit vectors (n, 2)
+        across their contours."""
+        if len(seen.position) == 0:
+            return np.zeros((0, 2)), np.zeros((0, 2))
+        known = np.where(seen.sigma < SLID, seen.radius, 0.0)
+        there = contact_from(self.first.translation, seen.position, seen.normal, known)
+        there = self.first.inv().apply(there)
+        ahead = ((there[:, 2] > 0.01) & (seen.looks >= LEAST_LOOKS))[:, None]
+        off = np.where(
+            ahead, self.camera.project(np.where(ahead, there, (0.0, 0.0, 1.0))) - self.query, np.inf
+        )
+        across = (seen.normal @ self.first.rotation.as_matrix())[:, :2]
+        return off, across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+
+    def plane(self, eye: Array) -> Array:
+        """Unit normal (3,) of the plane of the question seen from `eye` (3,): through the fixation point, level across."""
+        forward = self.first.rotation.apply([0.0, 0.0, 1.0])
+        right = _unit(np.cross(forward, [0.0, 0.0, 1.0]))
+        ray = self.first.rotation.apply(self.camera.rays(self.query))
+        ahead = AHEAD * _unit(ray - (ray @ right) * right) + self.first.translation - eye
+        return _unit(np.cross(np.cross(ahead, [0.0, 0.0, 1.0]), ahead))
+
+    def answer(self, eye: Array, seen: Tracked) -> Answer | None:
+        """What n features say, seen from `eye` (3,) [m]; None where none belongs to the contour."""
+        rows = self._chosen(seen)
+        if rows is None:
+            return None
+        up = self.plane(eye)
+        height = (seen.position[rows] - eye) @ up
+        weight = interpolating(height)
+        side = np.where(seen.normal[rows] @ seen.normal[rows[np.argmax(np.abs(weight))]] < 0, -1.0, 1.0)
+        R = float(weight @ (side * seen.radius[rows]))
+        normal = np.sign(R or 1.0) * (weight @ (side[:, None] * seen.normal[rows]))
+        in_plane = normal - (normal @ up) * up
+        place = contact_from(eye, (weight @ seen.position[rows])[None], in_plane[None], np.array([abs(R)]))[0]
+        spread = float(np.sqrt((np.abs(weight) @ seen.sigma[rows]) ** 2 + (ROUND * R) ** 2 + LEAST_SIGMA**2))
+        return Answer(probability_extremal(abs(R), spread), abs(R), spread, place)
+
+    def _chosen(self, seen: Tracked) -> NDArray[np.integer] | None:
+        """Features of the contour that is nearest to the pixel, or of the best known of those that are hardly farther."""
+        known = (seen.sigma < UNKNOWN) & np.isfinite(seen.radius) & (seen.looks >= LEAST_LOOKS)
+        off, across = self._in_first_view(seen)
+        apart = np.where(known, _apart(off, across), np.inf)
+        if not np.any(apart < SIDE):
+            return None
+        near = np.flatnonzero(apart < min(apart.min() + ALIKE, SIDE))
+        best = near[np.argmin(seen.sigma[near])]
+        same = np.flatnonzero(known & (seen.contour == seen.contour[best]) & np.all(np.isfinite(off), axis=1))
+        # one outline of a closed contour: the chord between two features runs along it at both
+        chord = off[same] - off[best]
+        length = np.linalg.norm(chord, axis=1)
+        turned = np.maximum(np.abs(np.einsum("ni,ni->n", chord, across[same])), np.abs(chord @ across[best]))
+        return same[turned <= ALONG * length]
+
+
+def _apart(off: Array, across: Array) -> Array:
+    """Distances (n,) [px] of the pixel from the contours; infinite from features too far along them."""
+    near = np.abs(off[:, 1]) < LEVEL
+    return np.where(near, np.abs(np.einsum("ni,ni->n", np.where(near[:, None], off, 0.0), across)), np.inf)
+
+
+def interpolating(height: Array) -> Array:
+    """Weights (n,) of values at `height` (n,) [m] that give the value at 0, by a parabola through the two nearest on either side;
+    from one side alone a line, if they are near, or the nearest."""
+    order = np.argsort(np.abs(height))
+    order = order[(np.abs(height[order]) < REACH) | (np.arange(len(order)) == 0)]
+    below, above = order[height[order] <= 0][:2], order[height[order] > 0][:2]
+    use = np.concatenate([below, above])
+    if min(len(below), len(above)) == 0:
+        use = use[: 2 if np.abs(height[use[0]]) < BEYOND else 1]
+    weight = np.zeros(len(height))
+    powers = np.vander(height[use] / REACH, min(3, len(use)), increasing=True)
+    weight[use] = np.linalg.pinv(powers)[0]
+    return weight
+
+
+def _unit(v: Array) -> Array:
+    return v / max(float(np.linalg.norm(v)), 1e-12)

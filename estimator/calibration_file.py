@@ -232,7 +232,9 @@ def _text_value(value: Any, where: str) -> str:
 
 def _list(value: Any, where: str) -> list[Any]:
     if not isinstance(value, list) or len(value) > 2 * MOST_PARAMETERS:
-        raise InvalidInput(f"{where} is {shown(value)}; accepted: a list of up to {2 * MOST_PARAMETERS} items")
+        raise InvalidInput(
+            f"{where} is {shown(value)}; accepted: a list of up to {2 * MOST_PARAMETERS} items"
+        )
     return value
 
 

@@ -27,6 +27,7 @@ from extremal.estimator.camera import Array
 from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 
 BLOCK = 4096  # circles solved at once: their intermediate arrays stay in the processor's cache
+SINGULAR = 1e-14  # determinant of the scaled normal equations that is rounding alone
 SMALLEST_ARC = 1e-7  # [rad] total turn of the rays below which they count as parallel
 
 
@@ -247,6 +248,7 @@ def _least_squares(columns: Array, support: Array, weights: Array | None) -> tup
     i00, i01, i02 = 1 - c * c, b * c - a, a * c - b
     i11, i12, i22 = 1 - b * b, a * b - c, 1 - a * a
     determinant = i00 + a * i01 + b * i02
+    determinant = np.where(determinant > SINGULAR, determinant, np.nan)  # fewer than three different rays
     d0, d1, d2 = (d / np.sqrt(determinant) for d in (d0, d1, d2))
     i01, i02, i12 = i01 * d0 * d1, i02 * d0 * d2, i12 * d1 * d2
     i00, i11, i22 = i00 * d0 * d0, i11 * d1 * d1, i22 * d2 * d2

@@ -52,7 +52,7 @@ class ClosedMesh:
     def areas(self) -> Array:
         """(V,) [m^2] third parts of the faces around each vertex."""
         area = np.repeat(np.linalg.norm(self._crosses, axis=1) / 6, 3)
-        return np.bincount(self.faces.ravel(), area, len(self.vertices))
+        return np.bincount(self.faces.ravel(), area, len(self.vertices)).astype(float)
 
     @cached_property
     def stiffness(self) -> sparse.csr_array:

@@ -84,7 +84,9 @@ def contour_generator(mesh: ClosedMesh, centre: Array) -> tuple[NDArray[np.integ
     return edges, t, first + t[:, None] * (last - first) + sag[:, None] * normals, normals
 
 
-def _touches(mesh: ClosedMesh, outline: Outline, free: NDArray[np.bool_], gate: float) -> tuple[Array, ...]:
+def _touches(
+    mesh: ClosedMesh, outline: Outline, free: NDArray[np.bool_], gate: float
+) -> tuple[np.ndarray, ...]:
     """Ends (n, 2), derivatives (n, 2) by their shifts, distance, sigma, information and pixels (n,) of one view."""
     centre = outline.view.centre
     if len(outline.pixels) == 0:

@@ -46,7 +46,7 @@ class Grid:
         points[..., 1], points[..., 2] = y[:, None], z
         return points
 
-    def world(self, index: Array) -> Array:
+    def world(self, index: np.ndarray) -> Array:
         """Points (..., 3) [m] at fractional indices (..., 3)."""
         return np.asarray(self.origin) + self.spacing * index
 

@@ -10,6 +10,7 @@ from typing import BinaryIO
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.reading import open_regular
 
+MOST_SEGMENTS = 10_000  # of a JPEG before the picture, bytes of padding included
 TAIL = 4096  # bytes from the end, among which the end of the image is looked for: some programs append notes
 
 
@@ -44,7 +45,7 @@ def _jpeg(file: BinaryIO) -> tuple[int, int, int] | None:
     if file.read(2) != b"\xff\xd8" or not _ends_with(file, b"\xff\xd9"):
         return None
     file.seek(2)
-    while True:
+    for _ in range(MOST_SEGMENTS):
         fill, code, length = struct.unpack(">BBH", file.read(4))
         if code == 0xFF:  # padding
             file.seek(-3, 1)
@@ -59,6 +60,7 @@ def _jpeg(file: BinaryIO) -> tuple[int, int, int] | None:
             bits, height, width = struct.unpack(">BHH", file.read(5))
             return width, height, bits
         file.seek(max(length, 2) - 2, 1)
+    return None
 
 
 def _ends_with(file: BinaryIO, mark: bytes) -> bool:

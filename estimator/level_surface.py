@@ -34,10 +34,9 @@ def level_surface(values: ArrayLike) -> tuple[Array, NDArray[np.integer]]:
         a, b = f[tuple(lower.T)], f[tuple(upper.T)]
         crossing = lower + ((a / (a - b))[:, None] * np.eye(3)[axis])
         p, q = np.eye(3, dtype=int)[(axis + 1) % 3], np.eye(3, dtype=int)[(axis + 2) % 3]
-        around = np.stack(
-            [lower - p - q, lower - q, lower, lower - p], axis=1
-        )  # counter-clockwise about the axis
-        index = np.ravel_multi_index(tuple(np.moveaxis(around, -1, 0)), cells)
+        # counter-clockwise about the axis
+        around = np.stack([lower - p - q, lower - q, lower, lower - p], axis=1)
+        index = np.asarray(np.ravel_multi_index(tuple(np.moveaxis(around, -1, 0)), cells))
         for corner in index.T:
             np.add.at(total, corner, crossing)
             np.add.at(count, corner, 1.0)

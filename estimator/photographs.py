@@ -6,6 +6,7 @@ image,x,y,z,rx,ry,rz           metres; rotation vector [rad], as the controllers
 
 import csv
 import math
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -27,7 +28,7 @@ MOST_PIXELS = 100_000_000  # of an image
 MOST_PIXELS_TOGETHER = 3_000_000_000  # they are kept, a byte each
 LARGEST_IMAGE = 400_000_000  # bytes
 MOST_SCANS = 100  # of a progressive JPEG, each of which takes a pass over the whole image
-LARGEST_TABLE = 10_000_000  # bytes
+LARGEST_TABLE = 1_000_000  # bytes
 FARTHEST = 10.0  # [m] no arm reaches further: the numbers are millimetres
 UNIT = 1e-3  # by how much a quaternion's norm may be off 1
 
@@ -104,6 +105,8 @@ def write_poses(path: str | Path, names: Sequence[str], T_base_flange: RigidTran
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line numbers and cells of all rows that are not empty."""
+    if not path.is_file():
+        raise InvalidInput(f"there is no table of poses {str(path)!r}")
     content = read_bytes(path, LARGEST_TABLE)
     try:
         text = content.decode("utf-8-sig")
@@ -165,8 +168,8 @@ def _more(names: list[str]) -> str:
 
 
 def _within(folder: Path, name: str) -> Path:
-    path = (folder / name).resolve()
-    if not path.is_relative_to(folder.resolve()):
+    path = Path(os.path.realpath(folder / name))  # unlike resolve(), of links in a circle too
+    if not path.is_relative_to(os.path.realpath(folder)):
         raise InvalidInput(f"{name} links to a file elsewhere; accepted: files in {str(folder)!r}")
     return path
 

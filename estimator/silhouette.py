@@ -98,12 +98,8 @@ def _along(mask: np.ndarray, contours: Contours) -> tuple[Array, Array, Array]:
     none = np.zeros((0, 2)), np.zeros((0, 2)), np.zeros(0)
     if len(contours.u) == 0 or not mask.any():
         return none
-    u = np.concatenate(
-        [
-            np.arange(contours.u[rows[0]], contours.u[rows[-1]] + 1e-9, STEP)
-            for rows in np.split(np.arange(len(contours.u)), np.flatnonzero(np.diff(contours.contour)) + 1)
-        ]
-    )
+    each = np.split(contours.u, np.flatnonzero(np.diff(contours.contour)) + 1)
+    u = np.concatenate([np.arange(float(part[0]), float(part[-1]) + 1e-9, STEP) for part in each])
     pixels, _, normals, _ = contours.splines.frame(u)
     distance, outward = _border(mask, pixels)
     agreement = np.sum(normals * outward, axis=1)
@@ -122,7 +118,7 @@ def _border(mask: np.ndarray, pixels: Array) -> tuple[Array, Array]:
     x, y = pixels.astype(np.float32).T
     at = [cv2.remap(a, x, y, cv2.INTER_LINEAR).ravel() for a in (field, *gradient)]
     outward = np.stack(at[1:], axis=1).astype(float)
-    return at[0], outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
+    return at[0].astype(float), outward / np.maximum(np.linalg.norm(outward, axis=1, keepdims=True), 1e-9)
 
 
 def signed_field(mask: np.ndarray) -> np.ndarray:

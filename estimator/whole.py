@@ -144,8 +144,9 @@ def fit_surface(
         mesh = mesh.spread(SPREAD)
     mesh = closed(mesh, observed)
     found = touches(mesh, outlines, observed, CLOSER_GATE)
+    deviation = _System(mesh, found, observed, True).deviation(np.random.default_rng(0))
     observed = inner(mesh, observed, RIM)
-    sigma = np.where(observed, system.deviation(np.random.default_rng(0)), np.inf)
+    sigma = np.where(observed, deviation, np.inf)
     rms = float(np.sqrt(np.mean(found.pixels**2))) if len(found.pixels) else np.inf
     report(MOST_STEPS + 1)
     return WholeSurface(mesh, sigma, observed, tuple(outlines), grid, rms)

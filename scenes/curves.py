@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from extremal.estimator.errors import SceneError
 
 Array = NDArray[np.floating]
-MOST_SAMPLES = 50_000  # of a curve: 20 m and more would take the memory
+MOST_SAMPLES = (
+    10_000  # of a curve: longer than 4 m they are sampled more coarsely, else one took minutes and gigabytes
+)
 Kind = Literal["extremal", "crease", "marking"]
 Colour = tuple[float, float, float, float]
 

@@ -1,6 +1,7 @@
 """Scenes read from TOML: the presets and files that users write."""
 
 import math
+import os
 from collections.abc import Callable
 from importlib.resources import as_file, files
 from pathlib import Path
@@ -224,7 +225,7 @@ def _lengths(shape: Callable[..., Surface], *keys: str) -> Callable[[_Table, dic
 
 def _mesh(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
     relative = table.take("file", _text)
-    path = (folder / relative).resolve()
+    path = Path(os.path.realpath(folder / relative))  # unlike resolve(), of links in a circle too
     if Path(relative).is_absolute() or not path.is_relative_to(folder):
         raise SceneError(
             f"{table.where}.file is {relative!r}; accepted: a path within the scene file's folder"

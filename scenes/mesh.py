@@ -22,6 +22,7 @@ from extremal.scenes.surface import Surface
 MOST_FACES = 200_000
 LARGEST_FILE = 50_000_000  # bytes
 SMALLEST = 1e-4  # [m]
+MOST_LINES, LONGEST_LINE = 5 * MOST_FACES, 10_000  # of an OBJ file: its parser is slow
 FORMATS = (".obj", ".off", ".ply", ".stl")
 OBJ_LINES = re.compile(rb"^[ \t]*(?:v|vt|vn|f)[ \t].*$", re.MULTILINE)  # no materials, which name other files
 
@@ -68,9 +69,12 @@ class Mesh(Surface):
         try:
             mesh = _parsed(content, path.suffix.lower()[1:])
             vertices, faces = np.array(mesh.vertices, float) * scale, np.array(mesh.faces)
-        except Exception as error:  # parsers raise anything on damaged files
-            raise SceneError(f"mesh file {path.name!r} cannot be read: {error!r:.80}") from None
-        return cls(vertices, faces, **common)
+        except Exception as error:  # noqa: BLE001  parsers raise anything on damaged files
+            raise SceneError(f"mesh file {path.name!r} cannot be read: {error!r:.120}") from None
+        try:
+            return cls(vertices, faces, **common)
+        except SceneError as error:
+            raise SceneError(f"mesh file {path.name!r}: {error}") from None
 
     def _check(self) -> None:
         vertices, faces = np.asarray(self.vertices, float), np.asarray(self.faces)
@@ -213,7 +217,10 @@ class Mesh(Surface):
 def _parsed(content: bytes, kind: str) -> trimesh.Trimesh:
     """The triangles of a file whose suffix is `kind`: from these bytes alone, no other file is looked at."""
     if kind == "obj":
-        content = b"\n".join(OBJ_LINES.findall(content.replace(b"\\\n", b" ").replace(b"\r\n", b"\n")))
+        lines = OBJ_LINES.findall(content.replace(b"\\\n", b" ").replace(b"\r\n", b"\n"))
+        if len(lines) > MOST_LINES or max(map(len, lines), default=0) > LONGEST_LINE:
+            raise ValueError(f"{len(lines)} lines; accepted: {MOST_LINES} lines of {LONGEST_LINE} characters")
+        content = b"\n".join(lines)
     with np.errstate(all="ignore"):
         mesh = trimesh.load_mesh(BytesIO(content), file_type=kind, process=False, skip_materials=True)
     # A number that is not finite is an error, and not, as in trimesh's own processing, a face less.

@@ -50,6 +50,8 @@ class ReconstructSettings:
     """from the camera to the object's middle [m]"""
     elevation: Annotated[float, tyro.conf.arg(metavar="DEG")] = 12.0
     """of the camera above the object's middle [degrees]"""
+    resolution: int = 128
+    """vertices along the object's longest side; the visual hull's voxels are as large"""
     quality: str = "standard"
     """of rendering: preview, standard or metrology"""
     noise: float = 2.0
@@ -87,7 +89,7 @@ class Reconstruction:
         return scores["contours"] | {
             "visual_hull": scores["visual_hull"],
             "stereo": scores["stereo"],
-            "residual_px": self.surface.residual_px,
+            "residual_px": self.surface.residual_px if np.isfinite(self.surface.residual_px) else None,
             "vertices": len(self.surface.sigma),
             "resolution_m": self.surface.grid.spacing,
             "timing_s": self.timing,
@@ -124,6 +126,8 @@ def take_around(
     """
     if settings.seed < 0:
         raise InvalidInput(f"--seed is {settings.seed}; accepted: a whole number from 0")
+    if not 16 <= settings.resolution <= 512:
+        raise InvalidInput(f"--resolution is {settings.resolution}; accepted: a whole number from 16 to 512")
     rng, judge_rng = np.random.default_rng(settings.seed).spawn(2)
     motion = CircularMotion(settings.views, settings.distance, float(np.radians(settings.elevation)))
     clock = _Clock()
@@ -131,7 +135,7 @@ def take_around(
         scene, Camera(), motion, settings.quality, Sensor(noise=settings.noise), rng, workers, _bar(progress, "rendering")
     )  # fmt: skip
     clock.stop("render")
-    surface = surface_from_views(views, _bar(progress, "contours"))
+    surface = surface_from_views(views, _bar(progress, "contours"), settings.resolution)
     clock.stop("vision")
     inside = carve(views, [outline.mask for outline in surface.outlines], surface.grid)
     vertices, faces = level_surface(np.where(inside, -1.0, 1.0))

@@ -3,9 +3,11 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-import matplotlib
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from extremal.estimator.contour_generators import contour_generator
@@ -40,7 +42,7 @@ def draw_distances(distances: Mapping[str, Distances], path: Path) -> None:
     """Distances outside the truth, by method, over the object as seen from the side."""
     figure = Figure(figsize=(3.4 * len(distances), 4.2), layout="constrained")
     FigureCanvasAgg(figure)
-    colours = matplotlib.colormaps["coolwarm"]
+    colours = colormaps["coolwarm"]
     all_axes = figure.subplots(1, len(distances), sharex=True, sharey=True)
     for axes, (name, found) in zip(np.atleast_1d(all_axes), distances.items(), strict=True):
         if len(found.points):
@@ -51,6 +53,6 @@ def draw_distances(distances: Mapping[str, Distances], path: Path) -> None:
         axes.set_title(name, fontsize=9)
         axes.set_xlabel("y [mm]")
     np.atleast_1d(all_axes)[0].set_ylabel("z [mm]")
-    scale = matplotlib.cm.ScalarMappable(matplotlib.colors.Normalize(-1e3 * TOP, 1e3 * TOP), colours)
+    scale = ScalarMappable(Normalize(-1e3 * TOP, 1e3 * TOP), colours)
     figure.colorbar(scale, ax=all_axes, label="outside the truth [mm]")
     figure.savefig(path, dpi=150)

@@ -14,7 +14,7 @@ from extremal.estimator.whole import WholeSurface
 from extremal.scenes import Scene
 from extremal.scripts.report_mesh import object_meshes
 
-SAMPLES = 4000  # points of a surface whose distance to the truth is measured
+SAMPLES = 2000  # points of a surface whose distance to the truth is measured
 DENSE = 100_000  # points of a surface that the truth's points look for
 TRUE_SAMPLES = 20_000
 NEAR = 1e-3  # [m] to a surface within which a point of the truth counts as recovered

@@ -1,9 +1,11 @@
 """What is commonly done with such frames: dense stereo (OpenCV's semi-global matching) between neighbouring views."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
 
 from extremal.estimator.camera import Array, View
 from extremal.estimator.silhouette import Outline
@@ -64,19 +66,22 @@ def _pair(first: Outline, second: Outline, low: Array, high: Array) -> Array:
     return world[np.all((world > low) & (world < high), axis=1)]
 
 
-def _disparities(view: View, R1: Array, P1: Array, P2: Array, low: Array, high: Array) -> tuple[int, int]:
+def _disparities(
+    view: View, R1: ArrayLike, P1: ArrayLike, P2: ArrayLike, low: Array, high: Array
+) -> tuple[int, int]:
     """Lowest disparity and number of disparities (a multiple of STEP) [px] of a box."""
+    first, second = np.asarray(P1, float), np.asarray(P2, float)
     corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
-    depth = (view.T_world_camera.inv().apply(corners) @ R1.T)[:, 2]
+    depth = (view.T_world_camera.inv().apply(corners) @ np.asarray(R1, float).T)[:, 2]
     depth = np.maximum(depth, 0.05)
-    values = -P2[0, 3] / depth + P1[0, 2] - P2[0, 2]
+    values = -second[0, 3] / depth + first[0, 2] - second[0, 2]
     least = int(np.floor(values.min())) - SLACK
     return least, STEP * int(np.ceil((values.max() + SLACK - least) / STEP))
 
 
-def _matcher(least: int, count: int) -> cv2.StereoSGBM:
+def _matcher(least: int, count: int) -> Any:
     """OpenCV's matcher with the penalties that its documentation recommends."""
-    return cv2.StereoSGBM_create(
+    return cv2.StereoSGBM_create(  # pyright: ignore[reportAttributeAccessIssue]
         minDisparity=least,
         numDisparities=count,
         blockSize=BLOCK,

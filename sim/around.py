@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from extremal.estimator.camera import Array, Camera, View
+from extremal.estimator.camera import Camera, View
 from extremal.estimator.errors import InvalidInput
 from extremal.sim.frames import render_frames
 from extremal.sim.motion import fixating
@@ -88,7 +88,5 @@ def record_around(
     frames = render_frames(
         scene_model(scene.to_spec()), camera, get_quality(quality), poses, workers, progress, gains
     )
-    read: list[Array] = [
-        sensor.read(f, camera, r) for f, r in zip(frames, noise_rng.spawn(len(frames)), strict=True)
-    ]
+    read = [sensor.read(f, camera, r) for f, r in zip(frames, noise_rng.spawn(len(frames)), strict=True)]
     return tuple(View(camera, poses[i], image) for i, image in enumerate(read))

@@ -17,6 +17,7 @@ from extremal.estimator.camera import Array
 from extremal.estimator.errors import ExtremalError, InvalidInput
 from extremal.sim.arm import JOINTS, add_arm
 from extremal.sim.chain import ArmGeometry
+from extremal.sim.warnings import warning_counts, warnings_of
 
 STEP = 1e-3  # of the simulation [s]
 # Five times the gains of MuJoCo Menagerie's UR5e, its armature (the motors' inertia seen through the gears), and the
@@ -178,6 +179,7 @@ class _PhysicalArm:
         add_actuators(spec)
         self._model = spec.compile()
         self._data = mujoco.MjData(self._model)
+        self._warnings = warning_counts(self._data)
         self._data.qpos[:] = start
         self._positions = [np.array(start, float)]
 
@@ -192,10 +194,12 @@ class _PhysicalArm:
         for control in positions + KD / KP * velocities:
             data.ctrl[:] = control
             mujoco.mj_step(self._model, data)
-            if not np.max(np.abs(data.qvel)) < RUNAWAY:
+            # MuJoCo resets a state that is not finite: then only its warning tells.
+            if not np.max(np.abs(data.qvel)) < RUNAWAY or self._warnings.any():
                 raise ArmNotSettled(
-                    f"the arm runs away: its joints move at {np.round(data.qvel, 1).tolist()} rad/s; accepted: commanded "
-                    f"positions within its limits, and drives below {RUNAWAY:g} rad/s"
+                    f"the arm runs away: its joints move at {np.round(data.qvel, 1).tolist()} rad/s "
+                    f"(MuJoCo warns of: {warnings_of(self._warnings) or 'nothing'}); accepted: commanded positions within its "
+                    f"limits, and drives below {RUNAWAY:g} rad/s"
                 )
             self._positions.append(data.qpos.copy())
 

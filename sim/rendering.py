@@ -20,6 +20,7 @@ EYE = "eye"
 SAMPLES = 4  # of MSAA; llvmpipe offers no more
 NEAR = 0.02  # nearest distance that is drawn [m]
 WHITE = (1.0, 1.0, 1.0)
+FARTHEST = 1e5  # a camera may be from the world's origin [m]
 MAX_BUFFER = 16384  # longest side of a rendered frame [px]
 
 
@@ -120,9 +121,10 @@ class FrameRenderer:
         if self._context is None or self._gl is None:
             raise RenderingError("the renderer is closed; use it in a `with` statement")
         shape = T_world_camera.as_matrix().shape[:-2]
-        if len(shape) > 1 or 0 in shape or not np.all(np.isfinite(T_world_camera.as_matrix())):
+        # MuJoCo renders from a camera that is not finite, in single precision, without an error: black
+        if len(shape) > 1 or 0 in shape or not np.all(np.abs(T_world_camera.as_matrix()) < FARTHEST):
             raise InvalidInput(
-                f"T_world_camera of shape {shape} must be one finite transform, or a row of them"
+                f"T_world_camera of shape {shape} must be one finite transform, or a row of them, less than {FARTHEST:g} m away"
             )
         weights = np.asarray(gains, np.float32)
         if weights.shape != (3,) or not np.all((weights > 0) & np.isfinite(weights)):

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator import Camera
 from extremal.estimator.camera import Array
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import ExtremalError, InvalidInput
 from extremal.scenes import Scene
 from extremal.sim import ArmErrors, get_arm
 from extremal.tasks.carried import CarriedCamera, whole_error
@@ -34,6 +34,10 @@ SensorName = Literal["geometric", "rendered"]
 RGB = 128  # [px] sides of an `rgb` observation
 Observation = dict[str, Any]
 Setup = TypeVar("Setup")
+
+
+class NonsenseObserved(ExtremalError, RuntimeError):
+    """Numbers of an observation or reward that mean nothing: the episode is worth nothing."""
 
 
 class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
@@ -179,11 +183,19 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self.travelled += math.dist(self.actual.translation, before.translation)
         self._look()
         reward, ended, self.is_success = self._judge(values, before)
+        if not math.isfinite(reward):
+            raise NonsenseObserved(
+                f"the reward of step {self.steps} is {reward!r}; accepted: a finite number"
+            )
         truncated = not ended and self.steps >= self.max_steps
         return self._observe(), float(reward), ended, truncated, self._info()
 
     def _look(self) -> None:
         seen = self._sensor.look(self.actual, self.commanded, self.robot.covariance)
+        if np.isnan(seen.radius[np.isfinite(seen.sigma_radius)]).any() or np.isnan(seen.position).any():
+            raise NonsenseObserved(
+                "a feature has no number for its radius or position; accepted: finite ones"
+            )
         self.features = with_mounting(seen, self.commanded.translation, *self.robot.mounting_sigma)
 
     def _observe(self) -> Observation:
@@ -195,7 +207,7 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
             observation["features"] = feature_rows(self.features)
         if self.obs_mode != "features":
             observation["rgb"] = self._eye("rgb", RGB, RGB).image(self.actual).copy()
-        return observation
+        return _finite(observation)
 
     def _info(self) -> dict[str, Any]:
         known = {name: value for name, value in self._metrics().items() if not math.isnan(value)}
@@ -230,3 +242,11 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         """Free sensor and renderers."""
         self._sensor.close()
         self._close_eyes()
+
+
+def _finite(observation: Observation) -> Observation:
+    """The same observation; NonsenseObserved where a number of it is not finite."""
+    for name, values in observation.items():
+        if not np.isfinite(values).all():
+            raise NonsenseObserved(f"{name!r} of the observation is not finite; accepted: finite numbers")
+    return observation

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Camera
-from extremal.estimator.errors import RenderingError
+from extremal.estimator.errors import InvalidInput, RenderingError
 from extremal.scenes import Scene
 from extremal.scenes.grids import QUICK
 from extremal.sim.axes import swap_camera_axes
 from extremal.sim.gl import select_backend
-from extremal.sim.rendering import EYE, NEAR, scene_model
+from extremal.sim.rendering import EYE, FARTHEST, NEAR, scene_model
 
 
 class Eye:
@@ -40,7 +40,7 @@ class Eye:
             width, height, fx=focal, fy=focal, cx=(width - 1) / 2, cy=(height - 1) / 2, blur=camera.blur
         )
         try:
-            self._renderer = mujoco.Renderer(model, height, width)
+            self._renderer = mujoco.Renderer(model, height, width, max_geom=model.ngeom + 10)
         except Exception as error:
             raise RenderingError(f"no offscreen rendering of {width} x {height} px: {error}") from error
 
@@ -53,7 +53,12 @@ class Eye:
         self.close()
 
     def image(self, T_world_camera: RigidTransform) -> NDArray[np.uint8]:
-        """(height, width, 3) RGB."""
+        """(height, width, 3) RGB; InvalidInput for a pose that is not single and finite, which would be rendered black."""
+        if not (T_world_camera.single and np.all(np.abs(T_world_camera.as_matrix()) < FARTHEST)):
+            raise InvalidInput(
+                f"T_world_camera is {T_world_camera.as_matrix().tolist()!r:.200}; accepted: one transform, less than "
+                f"{FARTHEST:g} m away"
+            )
         eye = swap_camera_axes(T_world_camera)
         self._data.mocap_pos[0] = eye.translation
         self._data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)

@@ -7,11 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
+from extremal.estimator.errors import InvalidInput
 from extremal.sim.arm import ARM_GROUP
 from extremal.sim.gl import select_backend
 from extremal.tasks.grasp_model import OBSTACLES, TARGET
 
 WIDTH, HEIGHT = 640, 480  # [px] of each of two views side by side
+SHADOWS = 1024  # [px] sides of the shadow map; by default it takes 100 MB
 VIEWS = (
     (135.0, -25.0, 1.3, 0.22),
     (180.0, -12.0, 0.75, 0.14),
@@ -24,15 +26,21 @@ def pictures(model: mujoco.MjModel, positions: Sequence[Array]) -> Iterator[NDAr
 
     Raises:
         RenderingError: offscreen rendering is not available.
+        InvalidInput: positions that are not finite.
     """
     select_backend()
     data, option = mujoco.MjData(model), mujoco.MjvOption()
     option.geomgroup[ARM_GROUP] = 1
     model.vis.global_.offwidth, model.vis.global_.offheight = WIDTH, HEIGHT
+    model.vis.quality.shadowsize = SHADOWS
     model.vis.headlight.ambient, model.vis.headlight.diffuse = [0.45] * 3, [0.5] * 3
     _paint(model)
-    with mujoco.Renderer(model, HEIGHT, WIDTH) as renderer:
+    with mujoco.Renderer(model, HEIGHT, WIDTH, max_geom=model.ngeom + 10) as renderer:
         for qpos in positions:
+            if not np.isfinite(qpos).all():  # MuJoCo would go on with them
+                raise InvalidInput(
+                    f"positions of a picture are {np.asarray(qpos).tolist()}; accepted: finite numbers"
+                )
             data.qpos[:] = qpos
             mujoco.mj_forward(model, data)
             seen = []

@@ -13,6 +13,7 @@ from extremal.scenes import Surface
 from extremal.sim import ArmGeometry
 from extremal.sim.arm import CUP_TIP
 from extremal.sim.execution import KD, KP
+from extremal.sim.warnings import warning_counts, warnings_of
 from extremal.tasks.grasp_film import pictures
 from extremal.tasks.grasp_model import SEAL, TARGET, geom_owners, grasp_model, set_weld
 from extremal.tasks.grasp_motion import PEAK, STEP, T_FLANGE_CUP, CupKinematics, JointPath, timed
@@ -64,6 +65,7 @@ class GraspWorld:
             target, obstacles, arm.T_world_base, actual or arm.believed, area_density, FRICTION
         )
         self._data = mujoco.MjData(self._model)
+        self._warnings = warning_counts(self._data)
         self._reference = _joints(start)
         self._data.qpos[:6] = self._reference
         self._names = geom_owners(self._model, target, obstacles)
@@ -226,10 +228,12 @@ class GraspWorld:
         if self._steps % FILM == 0:
             self._film.append(q.copy())
         # MuJoCo resets what is not finite, and the time with it.
-        if not (v @ v < RUNAWAY**2 and q @ q < np.inf and abs(data.time - self.time) < STEP / 2):
+        sound = v @ v < RUNAWAY**2 and q @ q < np.inf and abs(data.time - self.time) < STEP / 2
+        if not sound or self._warnings.any():
             raise GraspDiverged(
                 f"the simulation of {self.target.name!r} diverged after {self.time:.3f} s: velocities "
-                f"{np.round(v, 1).tolist()}; accepted: finite, below {RUNAWAY:g}"
+                f"{np.round(v, 1).tolist()}, MuJoCo warns of: {warnings_of(self._warnings) or 'nothing'}; accepted: finite, below "
+                f"{RUNAWAY:g}, and no warnings"
             )
         if self.holds:
             self._bear()

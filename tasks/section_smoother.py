@@ -16,7 +16,7 @@ from extremal.estimator.camera import Array
 from extremal.tasks.section_rows import Looks, SectionModel, Sums, Told, fitting_poses
 from extremal.tasks.section_solution import Solution, Spread
 
-MOST_LOOKS = 60  # that are kept: of more, the one goes whose neighbours are nearest to each other
+MOST_LOOKS = 120  # that are kept: of more, the one goes whose neighbours are nearest to each other
 EARLY = 12  # looks, before which none is an outlier
 FIRST_STEPS = 2  # from nothing known
 RECENT = 8  # looks that are linearised anew with every look

@@ -23,7 +23,7 @@ SHORT, LONG, SPEEDING = (
     0.6,
 )  # [m] of a glance and of a path that leaves nothing out; share of the largest speed
 NEAR_LEVEL, LEAST_LOOKS = 0.05, 5  # [m] of the grasp's height, within which contours count
-ENOUGH, AGAIN = 0.0015, 3  # [m] sigma of R that will do, and ways more that are gone for it
+ENOUGH, AGAIN = 0.0007, 3  # [m] sigma of R that will do, and ways more that are gone for it
 WORST = 0.03  # [m] sigma of R beyond which it says nothing
 MOST = 10  # beliefs that are passed on
 STEEPEST, LARGEST = 10.0, 0.12  # [1/m] of half a meridian's curvature; [m] of a radius: at most

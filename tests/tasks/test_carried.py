@@ -13,7 +13,9 @@ START = RigidTransform.from_translation([0.1, -0.4, 0.3])
 
 
 def robot(bias: str, scatter: str, seed: int = 0) -> CarriedCamera:
-    return CarriedCamera.draw(get_arm(bias), whole_error(get_arm(scatter)), START, np.random.default_rng(seed))
+    return CarriedCamera.draw(
+        get_arm(bias), whole_error(get_arm(scatter)), START, np.random.default_rng(seed)
+    )
 
 
 def errors(camera: CarriedCamera, looks: int) -> np.ndarray:

@@ -15,11 +15,11 @@ from extremal.tasks.tiers import TRAIN_SEEDS
 NAME = "extremal.tasks:extremal/Inspect-v0"
 
 
-def test_without_minari_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_minari_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "minari", None)
     env = gym.make(NAME, answer="policy")
     with pytest.raises(MinariMissing, match=r"pip install 'extremal\[minari\]'"):
-        record(env, BASELINES["Inspect"]["random"](), [1], "inspect/random-v0")
+        record(env, BASELINES["Inspect"]["random"](), [1], "inspect/random-v0", tmp_path)
     env.close()
 
 
@@ -29,9 +29,11 @@ def test_without_minari_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch)
 def test_what_is_recorded_is_read_back_and_replays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     minari = pytest.importorskip("minari")
     pytest.importorskip("h5py")
-    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+    root, kept = tmp_path / "datasets", tmp_path / "episodes"
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(root))
     env, seeds = gym.make(NAME, answer="policy", max_steps=30), TRAIN_SEEDS[72_000:72_002]
-    record(env, BASELINES["Inspect"]["parallax"](), seeds, "inspect/parallax-v0", author="nobody")
+    record(env, BASELINES["Inspect"]["parallax"](), seeds, "inspect/parallax-v0", kept, author="nobody")
+    assert not list(root.glob(".*"))
     dataset = minari.load_dataset("inspect/parallax-v0")
     assert dataset.total_episodes == 2
     again = dataset.recover_environment()
@@ -44,6 +46,6 @@ def test_what_is_recorded_is_read_back_and_replays(tmp_path: Path, monkeypatch: 
             assert float(reward) == episode.rewards[i]
             assert (ended, truncated) == (episode.terminations[i], episode.truncations[i])
     with pytest.raises(InvalidInput, match="a new name"):
-        record(env, BASELINES["Inspect"]["parallax"](), seeds, "inspect/parallax-v0")
+        record(env, BASELINES["Inspect"]["parallax"](), seeds, "inspect/parallax-v0", kept)
     again.close()
     env.close()

@@ -36,6 +36,7 @@ class Touches:
         sigma: (n,) [m] of the outline there.
         information: (n,) 1/sigma^2, each point's share of it.
         pixels: (n,) [px] `distance` in the image.
+        points: (n, 3) [m] of the mesh; view: (n,) index of the outline.
     """
 
     distance: Array
@@ -43,6 +44,8 @@ class Touches:
     sigma: Array
     information: Array
     pixels: Array
+    points: Array
+    view: NDArray[np.integer]
 
     @property
     def misfit(self) -> float:
@@ -59,11 +62,14 @@ class Touches:
 def touches(mesh: ClosedMesh, outlines: Sequence[Outline], free: NDArray[np.bool_], gate: float) -> Touches:
     """Contour generators of a mesh matched with outlines, where vertices are `free` (V,), within `gate` pixels."""
     parts = [_touches(mesh, outline, free, gate) for outline in outlines]
-    ends, shares, distance, sigma, information, pixels = (np.concatenate(p) for p in zip(*parts, strict=True))
+    ends, shares, distance, sigma, information, pixels, points = (
+        np.concatenate(p) for p in zip(*parts, strict=True)
+    )
     rows = np.repeat(np.arange(len(distance)), 2)
     entries = (shares.ravel(), (rows, ends.ravel()))
     jacobian = sparse.csr_array(sparse.coo_array(entries, shape=(len(distance), len(mesh.vertices))))
-    return Touches(distance, jacobian, sigma, information, pixels)
+    view = np.repeat(np.arange(len(parts)), [len(part[0]) for part in parts])
+    return Touches(distance, jacobian, sigma, information, pixels, points, view)
 
 
 def contour_generator(mesh: ClosedMesh, centre: Array) -> tuple[NDArray[np.integer], Array, Array, Array]:
@@ -87,10 +93,10 @@ def contour_generator(mesh: ClosedMesh, centre: Array) -> tuple[NDArray[np.integ
 def _touches(
     mesh: ClosedMesh, outline: Outline, free: NDArray[np.bool_], gate: float
 ) -> tuple[np.ndarray, ...]:
-    """Ends (n, 2), derivatives (n, 2) by their shifts, distance, sigma, information and pixels (n,) of one view."""
+    """Ends (n, 2), derivatives (n, 2) by their shifts, distance, sigma, information and pixels (n,) and points (n, 3) of one view."""
     centre = outline.view.centre
     if len(outline.pixels) == 0:
-        return np.zeros((0, 2), int), np.zeros((0, 2)), *(np.zeros(0),) * 4
+        return np.zeros((0, 2), int), np.zeros((0, 2)), *(np.zeros(0),) * 4, np.zeros((0, 3))
     edges, t, points, normals = contour_generator(mesh, centre)
     image = outline.view.project(points)
     image = np.where(np.isfinite(image), image, -1e6)
@@ -106,4 +112,4 @@ def _touches(
     sigma = outline.sigma[j] * np.linalg.norm(ray, axis=1)
     information = min(1.0, STEP * len(outline.pixels) / (POOL * max(len(j), 1))) / sigma**2
     pixels = np.sum(offset[keep] * across[keep], axis=1)
-    return edges, share, np.sum(plane * ray, axis=1), sigma, information, pixels
+    return edges, share, np.sum(plane * ray, axis=1), sigma, information, pixels, points

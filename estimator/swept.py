@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.camera import Array
 from extremal.estimator.closed_mesh import ClosedMesh
@@ -40,6 +41,18 @@ def swept(mesh: ClosedMesh, outlines: Sequence[Outline]) -> NDArray[np.bool_]:
                 apart, _ = outline.tree.query(np.where(np.isfinite(image), image, -1e6))
                 seen[rows[apart < BESIDE]] = True
     return _majority(mesh, seen)
+
+
+def beside(mesh: ClosedMesh, points: Array, view: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Vertices (V,) no farther from points (n, 3) of contour generators, of views (n,), than these usually are from one view
+    to the next.
+
+    Where a contour generator jumps, as over a valley that no contour shows, the surface between is mere interpolation.
+    """
+    each = [cKDTree(points[view == k]) for k in np.unique(view)]
+    gaps = [second.query(first.data)[0] for first, second in zip(each, [*each[1:], each[0]], strict=True)]
+    apart, _ = cKDTree(points).query(mesh.vertices)
+    return apart < np.median(np.concatenate(gaps))
 
 
 def closed(mesh: ClosedMesh, free: NDArray[np.bool_]) -> ClosedMesh:

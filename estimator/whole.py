@@ -27,7 +27,7 @@ from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.hull import Grid, bounds, hull_distance
 from extremal.estimator.level_surface import level_surface
 from extremal.estimator.silhouette import Outline, find_outline
-from extremal.estimator.swept import closed, inner, swept
+from extremal.estimator.swept import beside, closed, inner, swept
 
 RESOLUTION = 128  # vertices along the longest side of the object
 BENDING = 3000.0
@@ -145,7 +145,7 @@ def fit_surface(
     mesh = closed(mesh, observed)
     found = touches(mesh, outlines, observed, CLOSER_GATE)
     deviation = _System(mesh, found, observed, True).deviation(np.random.default_rng(0))
-    observed = inner(mesh, observed, RIM)
+    observed = inner(mesh, observed, RIM) & beside(mesh, found.points, found.view)
     sigma = np.where(observed, deviation, np.inf)
     rms = float(np.sqrt(np.mean(found.pixels**2))) if len(found.pixels) else np.inf
     report(MOST_STEPS + 1)

@@ -27,6 +27,7 @@ from extremal.scenes import Scene, load_scene
 from extremal.scripts.output import output_folder
 from extremal.scripts.reconstruct_figures import draw_distances, draw_frames
 from extremal.scripts.reconstruct_files import save_surface
+from extremal.scripts.reconstruct_report import reconstruct_report
 from extremal.scripts.reconstruct_score import Distances, Judge
 from extremal.scripts.stereo import stereo_points
 from extremal.sim.around import CircularMotion, record_around
@@ -97,7 +98,7 @@ class Reconstruction:
 
 
 def reconstruct(settings: ReconstructSettings) -> None:
-    """Run the whole chain and write surface.ply, .glb and .stl, figures, frames and result.json to `settings.out`."""
+    """Run the whole chain and write report.html, surface.ply, .glb and .stl, figures, frames and result.json to `settings.out`."""
     console = Console()
     columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with output_folder(settings.out) as folder:
@@ -106,7 +107,9 @@ def reconstruct(settings: ReconstructSettings) -> None:
             result = take_around(scene, settings, progress)
         _write(folder, settings, result)
     console.print(table(result))
-    console.print(f"wrote {settings.out}/: surface.ply, .glb, .stl, result.json, two figures and the frames")
+    console.print(
+        f"wrote {settings.out}/: report.html, surface.ply, .glb, .stl, result.json, two figures and the frames"
+    )
 
 
 def alone(scene: Scene) -> Scene:
@@ -190,6 +193,10 @@ def _write(folder: Path, settings: ReconstructSettings, result: Reconstruction) 
     }
     content |= {"versions": {name: version(name) for name in PACKAGES}} | result.content()
     (folder / "result.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
+    report = reconstruct_report(
+        folder, result.scene, result.views, result.surface, table(result), content, asdict(settings)
+    )
+    report.save(folder / "report.html")
 
 
 def table(result: Reconstruction) -> Table:

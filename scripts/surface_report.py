@@ -14,6 +14,7 @@ from extremal.scenes import Scene
 from extremal.scripts.report_mesh import DisplayMesh
 from extremal.scripts.report_scene import Scene3D
 
+NEARER = 0.4  # of the cameras' distance from which the view starts
 AWAY = 0.01  # [m] farther from all objects than that, a surface is not of the scene and has the last colour
 
 
@@ -31,7 +32,9 @@ def surface_view(
         T_world_camera, images: (V) views that the surface was made from.
         surface: in the world [m], of n vertices. sigma: (n,) their standard deviations along the normal [m].
     """
-    view = Scene3D.beside(scene.target, T_world_camera.translation)
+    # near enough to see the surface: the cameras may stand all around it
+    target = np.asarray(scene.target)
+    view = Scene3D.beside(target, target + NEARER * (T_world_camera.translation - target))
     caption = "The camera on its way, and no surface: none was found."
     if len(surface.faces):
         error = true_distance(scene, np.array(surface.vertices))

@@ -136,7 +136,7 @@ def test_the_readme_shows_commands_that_exist() -> None:
         assert (ROOT / link).exists(), f"README.md links to {link}"
 
 
-@pytest.mark.parametrize("script", ["scripts/run", "scripts/lock", ".ci/run"])
+@pytest.mark.parametrize("script", ["scripts/run", "scripts/lock", "scripts/sbom", ".ci/run"])
 def test_shell_scripts_can_run(script: str) -> None:
     path = ROOT / script
     assert path.stat().st_mode & 0o111

@@ -57,6 +57,7 @@ def test_what_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
         assert np.allclose(again.bounds, mesh.bounds, atol=1e-5)
     assert len(list((out / "frames").glob("*.png"))) == 12
     assert (out / "contours.png").stat().st_size and (out / "distances.png").stat().st_size
+    assert 1e5 < (out / "report.html").stat().st_size < 6e6
 
 
 def test_views_that_are_far_apart_are_refused() -> None:

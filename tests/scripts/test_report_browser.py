@@ -18,7 +18,10 @@ from extremal.scripts.report_scene import CAMERA, EXTREMAL, FIXED
 if TYPE_CHECKING:
     from conftest import Taken
 
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (Debian: chromium)")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (Debian: chromium)"),
+]
 
 FRAME = "document.querySelector('iframe').contentDocument"
 TIME = f"[...{FRAME}.querySelectorAll('input')].map(i => i.value).join()"

@@ -33,4 +33,4 @@ def test_quick_facets_stay_below_the_noise(name: str) -> None:
 def test_nothing_else_is_accepted() -> None:
     for arguments in ({"columns": 3}, {"rows": 1.5}, {"chord": 0.0}, {"around": float("nan")}):
         with pytest.raises(InvalidInput, match=f"facets' {next(iter(arguments))} is"):
-            Facets(**arguments)
+            Facets(**arguments)  # pyright: ignore[reportArgumentType]

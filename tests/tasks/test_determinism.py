@@ -30,6 +30,7 @@ def check(found: dict[str, Prints]) -> None:
                 assert entry["prints"][name][key] == value, f"{key} of {name} have changed; {REGENERATE}"
 
 
+@pytest.mark.slow
 def test_short_episodes_have_the_committed_prints() -> None:
     check(fingerprint.elsewhere(NAMES, SHORT, PLAIN))
 

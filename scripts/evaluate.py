@@ -1,5 +1,6 @@
 """`extremal evaluate`: a policy's success over the test episodes, with confidence intervals."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -68,10 +69,10 @@ def evaluate(settings: EvaluateSettings) -> None:
         )
     write_json(settings.out / "evaluation.json", found)
     rows = leaderboard(settings.out / "leaderboard.json", found)
-    metrics, board = _metrics_table(found), _leaderboard_table(rows)
-    _report(settings, rows, metrics, board).save(settings.out / "report.html")
+    metrics = _metrics_table(found)
+    _report(settings, rows, metrics, _leaderboard_table(rows, METRICS)).save(settings.out / "report.html")
     console.print(metrics)
-    console.print(board)
+    console.print(_leaderboard_table(rows, ()))  # a terminal is too narrow for medians as well
     console.print(f"wrote {settings.out}/: report.html, evaluation.json and leaderboard.json")
 
 
@@ -108,9 +109,10 @@ def _metrics_table(found: dict[str, Any]) -> Table:
     return table
 
 
-def _leaderboard_table(rows: list[dict[str, Any]]) -> Table:
-    table = Table(title="leaderboard", box=SIMPLE, caption="score: 0 random, 1 oracle; metrics: medians")
-    metrics = [name for name in METRICS if any(row["median"].get(name) is not None for row in rows)]
+def _leaderboard_table(rows: list[dict[str, Any]], names: Sequence[str]) -> Table:
+    """All policies so far, with the medians of the metrics of these names."""
+    table = Table(title="leaderboard", box=SIMPLE, caption="score: 0 random, 1 oracle")
+    metrics = [name for name in names if any(row["median"].get(name) is not None for row in rows)]
     for name in ("setting", "policy", "episodes", "success", "95 %", "score", "95 %", *metrics):
         table.add_column(name.replace("_", " "), no_wrap=name not in ("setting", *metrics))
     for row in rows:

@@ -161,6 +161,9 @@ def grasp_at(
     arm: CupKinematics, beliefs: list[ArcBelief], eye: Array, observation: Mapping[str, Any]
 ) -> NDArray[np.floating]:
     """The action that grasps where a seal is likeliest in the accepted azimuths; any other where there is no such place."""
+    nowhere = np.concatenate([np.zeros(6), [1.0], np.zeros(6)])
+    if not beliefs:
+        return nowhere
     low, high, level = (float(v) for v in observation["accepted"])
     try:
         normal = np.mean([b.normal for b in beliefs], axis=0)
@@ -174,8 +177,8 @@ def grasp_at(
             (low - generator + inside, high - generator - inside),
             (level - HEIGHTS, level + HEIGHTS),
         )
-    except (NoGrasp, InvalidInput, SceneError, IndexError):
-        return np.concatenate([np.zeros(6), [1.0], np.zeros(6)])
+    except (NoGrasp, InvalidInput, SceneError):
+        return nowhere
     cup = plan.T_world_cup
     values = [*(cup.translation / REACH), *(cup.rotation.as_rotvec() / POSE_TURN)]
     return np.concatenate([np.zeros(6), [1.0], values])

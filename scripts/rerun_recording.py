@@ -24,7 +24,7 @@ def require_rerun() -> None:
 
 def write_rerun(path: Path, scene: Scene, look: Look) -> None:
     """Write a look (.rrd): true objects, contour points, and the views with their images on a timeline "view"."""
-    import rerun as rr
+    import rerun as rr  # pyright: ignore[reportMissingImports]
 
     shape, views = look.shape, look.recording.views
     stream = rr.RecordingStream("extremal")

@@ -135,8 +135,8 @@ def write_parquet(rows: Sequence[Row], path: Path) -> bool:
     """The table as Parquet, where pyarrow or polars is installed; gives whether one is."""
     part = path.with_name(f"{TEMPORARY}{path.name}")
     if find_spec("pyarrow"):
-        import pyarrow as pa
-        import pyarrow.parquet as pq
+        import pyarrow as pa  # pyright: ignore[reportMissingImports]
+        import pyarrow.parquet as pq  # pyright: ignore[reportMissingImports]
 
         pq.write_table(pa.Table.from_pylist(list(rows)), part)
     elif find_spec("polars"):

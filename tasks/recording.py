@@ -16,8 +16,8 @@ from extremal.tasks.episode_files import Episode, EpisodeFolder
 from extremal.tasks.policies.policy import Policy
 
 if TYPE_CHECKING:
-    from minari import MinariDataset
-    from minari.data_collector import EpisodeBuffer
+    from minari import MinariDataset  # pyright: ignore[reportMissingImports]
+    from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
 
 ROOT = "MINARI_DATASETS_PATH"
 
@@ -70,7 +70,7 @@ def record(
         InvalidInput: there is a dataset of that name, or it is no name, or there are no seeds; and as `record_episodes`.
     """
     try:
-        import minari
+        import minari  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise MinariMissing(
             "recording needs Minari, which is not installed: pip install 'extremal[minari]'"
@@ -95,8 +95,8 @@ def record(
 @contextmanager
 def _aside(dataset_id: str) -> Iterator[None]:
     """Have Minari write a dataset to a hidden folder, and put it in its place when all went well."""
-    from minari.namespace import create_namespace, list_local_namespaces
-    from minari.storage.datasets_root_dir import get_dataset_path
+    from minari.namespace import create_namespace, list_local_namespaces  # pyright: ignore[reportMissingImports]
+    from minari.storage.datasets_root_dir import get_dataset_path  # pyright: ignore[reportMissingImports]
 
     place, before = get_dataset_path(dataset_id), os.environ.get(ROOT)
     hidden = Path(tempfile.mkdtemp(prefix=".recording-", dir=get_dataset_path()))
@@ -148,7 +148,7 @@ def _in_columns(rows: list[Mapping[str, Any]]) -> dict[str, np.ndarray]:
 
 def _buffer(episode: Episode, seed: int, number: int) -> "EpisodeBuffer":
     """An episode as Minari takes it."""
-    from minari.data_collector import EpisodeBuffer
+    from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
 
     return EpisodeBuffer(
         id=number,

@@ -2,9 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,7 +12,7 @@ import numpy as np
 import tyro
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress
 from rich.table import Table
 
 from extremal.estimator import InvalidInput, estimate_shape
@@ -26,6 +24,7 @@ from extremal.scripts.look_result import Look
 from extremal.scripts.output import output_folder
 from extremal.scripts.picture import draw
 from extremal.scripts.poses import Egomotion, known_poses, pose_errors
+from extremal.scripts.progress import bar, progress_bars
 from extremal.scripts.rerun_recording import require_rerun, write_rerun
 from extremal.scripts.scoring import score
 from extremal.sim import ArmErrors, Drive, LinearMotion, record
@@ -103,7 +102,7 @@ def look(settings: LookSettings) -> None:
         require_rerun()
     with output_folder(settings.out) as folder:
         scene = load_scene(settings.scene)
-        with _progress(console) as progress:
+        with progress_bars(console) as progress:
             result = take_look(scene, settings, progress)
         _write(folder, settings, result)
         table = _table(result)
@@ -131,12 +130,6 @@ def take_look(
     rig = _rig(settings, seed)
     watched, placed = _with_board(scene, rig, motion) if settings.egomotion != "robot" else (scene, None)
 
-    def bar(name: str) -> Callable[[int, int], None] | None:
-        if progress is None:
-            return None
-        advance = partial(progress.update, progress.add_task(name, total=chosen["views"]))
-        return lambda done, total: advance(completed=done, total=total)
-
     recording = record(
         watched,
         rig.camera,
@@ -146,17 +139,19 @@ def take_look(
         rig.errors,
         np.random.default_rng(seed),
         workers,
-        bar("rendering"),
+        bar(progress, "rendering", chosen["views"]),
         geometry=rig.geometry,
         believed=rig.believed,
         believed_camera=rig.believed_camera,
         drive=Drive() if settings.physics else None,
     )
     rendered = time.perf_counter()
-    views, prior = known_poses(settings.egomotion, recording, rig, placed, bar("board"))
+    views, prior = known_poses(
+        settings.egomotion, recording, rig, placed, bar(progress, "board", chosen["views"])
+    )
     recording = replace(recording, views=tuple(views))
     estimator = settings.estimator or ("circle" if prior.exact else "joint")
-    shape = estimate_shape(views, bar("contours"), estimator, prior)
+    shape = estimate_shape(views, bar(progress, "contours", chosen["views"]), estimator, prior)
     seen = time.perf_counter()
     scored = score(shape, recording, watched)
     timing = {
@@ -207,11 +202,6 @@ def _natural(value: int, name: str) -> int:
     if value < 0:
         raise InvalidInput(f"{name} is {value}; accepted: a whole number from 0")
     return value
-
-
-def _progress(console: Console) -> Progress:
-    columns = (TextColumn("{task.description:>10}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    return Progress(*columns, console=console, transient=True)
 
 
 def _write(folder: Path, settings: LookSettings, result: Look) -> None:

@@ -2,9 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +12,7 @@ import numpy as np
 import tyro
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress
 from rich.table import Table
 
 from extremal.estimator import Camera, InvalidInput, View
@@ -25,17 +23,23 @@ from extremal.estimator.whole import WholeSurface
 from extremal.estimator.whole import reconstruct as surface_from_views
 from extremal.scenes import Scene, load_scene
 from extremal.scripts.output import output_folder
+from extremal.scripts.progress import bar, progress_bars
 from extremal.scripts.reconstruct_figures import draw_distances, draw_frames
-from extremal.scripts.reconstruct_files import save_surface
-from extremal.scripts.reconstruct_report import reconstruct_report
+from extremal.scripts.reconstruct_files import save_surface, surface_mesh
 from extremal.scripts.reconstruct_score import Distances, Judge
 from extremal.scripts.stereo import stereo_points
+from extremal.scripts.surface_report import surface_report
 from extremal.sim.around import CircularMotion, record_around
 from extremal.sim.sensor import Sensor
 
 PACKAGES = ("extremal", "mujoco", "numpy", "scipy", "opencv-python-headless", "trimesh")
 METHODS = {"contours": "contours", "visual_hull": "visual hull", "stereo": "stereo (SGBM)"}
-Report = Callable[[int, int], None]
+
+
+PICTURES = {
+    "contours.png": "Outlines in frames, and the contour generators of the recovered surface as they are seen there.",
+    "distances.png": "Distance to the truth by method, from the side: red outside, blue inside.",
+}
 
 
 @dataclass(frozen=True)
@@ -100,10 +104,9 @@ class Reconstruction:
 def reconstruct(settings: ReconstructSettings) -> None:
     """Run the whole chain and write report.html, surface.ply, .glb and .stl, figures, frames and result.json to `settings.out`."""
     console = Console()
-    columns = (TextColumn("{task.description:>12}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with output_folder(settings.out) as folder:
         scene = alone(load_scene(settings.scene))
-        with Progress(*columns, console=console, transient=True) as progress:
+        with progress_bars(console) as progress:
             result = take_around(scene, settings, progress)
         _write(folder, settings, result)
     console.print(table(result))
@@ -135,17 +138,17 @@ def take_around(
     motion = CircularMotion(settings.views, settings.distance, float(np.radians(settings.elevation)))
     clock = _Clock()
     views = record_around(
-        scene, Camera(), motion, settings.quality, Sensor(noise=settings.noise), rng, workers, _bar(progress, "rendering")
+        scene, Camera(), motion, settings.quality, Sensor(noise=settings.noise), rng, workers, bar(progress, "rendering")
     )  # fmt: skip
     clock.stop("render")
-    surface = surface_from_views(views, _bar(progress, "contours"), settings.resolution)
+    surface = surface_from_views(views, bar(progress, "contours"), settings.resolution)
     clock.stop("vision")
     inside = carve(views, [outline.mask for outline in surface.outlines], surface.grid)
     vertices, faces = level_surface(np.where(inside, -1.0, 1.0))
     hull = ClosedMesh(surface.grid.world(vertices), faces)
     clock.stop("visual_hull")
     low, high = surface.grid.world(np.zeros(3)), surface.grid.world(np.array(surface.grid.shape) - 1.0)
-    cloud = stereo_points(surface.outlines, low, high, _bar(progress, "stereo"))
+    cloud = stereo_points(surface.outlines, low, high, bar(progress, "stereo"))
     clock.stop("stereo")
     judge = Judge(scene, surface, judge_rng)
     distances = {
@@ -169,13 +172,6 @@ class _Clock:
         self.seconds[stage], self._last = now - self._last, now
 
 
-def _bar(progress: Progress | None, name: str) -> Report | None:
-    if progress is None:
-        return None
-    advance = partial(progress.update, progress.add_task(name, total=None))
-    return lambda done, total: advance(completed=done, total=total)
-
-
 def _write(folder: Path, settings: ReconstructSettings, result: Reconstruction) -> None:
     save_surface(result.surface, folder)
     draw_frames(result.surface, folder / "contours.png")
@@ -193,10 +189,22 @@ def _write(folder: Path, settings: ReconstructSettings, result: Reconstruction) 
     }
     content |= {"versions": {name: version(name) for name in PACKAGES}} | result.content()
     (folder / "result.json").write_text(json.dumps(content, indent=1, allow_nan=False) + "\n")
-    report = reconstruct_report(
-        folder, result.scene, result.views, result.surface, table(result), content, asdict(settings)
-    )
-    report.save(folder / "report.html")
+    hull = content["visual_hull"]["rms_m"]
+    facts = {} if hull is None else {"visual hull, rms": f"{1e3 * hull:.3f} mm"}
+    facts["of the surface seen"] = f"{100 * content['completeness']:.0f} %"
+    mesh, made = surface_mesh(result.surface), table(result)
+    surface_report(
+        "reconstruct",
+        folder,
+        result.scene,
+        result.views,
+        mesh,
+        facts,
+        PICTURES,
+        made,
+        content,
+        asdict(settings),
+    ).save(folder / "report.html")
 
 
 def table(result: Reconstruction) -> Table:

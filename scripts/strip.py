@@ -2,9 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,9 +11,8 @@ import numpy as np
 import tyro
 from rich.box import SIMPLE
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import Progress
 from rich.table import Table
-from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator import InvalidInput, PosePrior, View, all_contours
 from extremal.estimator.contours import Contours
@@ -25,18 +22,25 @@ from extremal.estimator.strip_prediction import Prediction, predict
 from extremal.scenes import Scene, load_scene
 from extremal.scripts.output import output_folder
 from extremal.scripts.poses import known_poses
+from extremal.scripts.progress import bar, progress_bars
 from extremal.scripts.report import Report
 from extremal.scripts.strip_files import save_grid, save_surface, surface_mesh
 from extremal.scripts.strip_motion import UNSEEN, WithUnseen
 from extremal.scripts.strip_pictures import draw_extrapolation, draw_prediction, draw_strip
-from extremal.scripts.strip_report import strip_report
 from extremal.scripts.strip_score import StripScore, score_strip
-from extremal.scripts.surface_report import surface_view
+from extremal.scripts.surface_report import surface_report
 from extremal.sim import LinearMotion, Recording, record
 from extremal.sim.arm_errors import ArmName
 from extremal.sim.rig import Rig
 
 PACKAGES = ("extremal", "mujoco", "numpy", "scipy", "opencv-python-headless", "trimesh")
+
+
+PICTURES = {
+    "strip.png": "The conjugate grid over the first view, and its vertices' distances to the truth beside their sigma.",
+    "prediction.png": "The strip in views that it was not made of, and the edges there against the prediction.",
+    "extrapolation.png": "The surface continued beyond the strip, as far as its own sigma lets it be trusted.",
+}
 
 
 @dataclass(frozen=True)
@@ -93,13 +97,7 @@ def strip(settings: StripSettings) -> None:
     console = Console()
     with output_folder(settings.out) as folder:
         scene = load_scene(settings.scene)
-        columns = (
-            TextColumn("{task.description:>10}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TimeElapsedColumn(),
-        )
-        with Progress(*columns, console=console, transient=True) as progress:
+        with progress_bars(console) as progress:
             result = take_strip(scene, settings, progress)
         content = _content(settings, result)
         _write(folder, settings, result, content)
@@ -124,12 +122,6 @@ def take_strip(
         rig = replace(rig, sensor=replace(rig.sensor, noise=settings.noise))
     count = settings.views + len(UNSEEN)
 
-    def bar(name: str) -> Callable[[int, int], None] | None:
-        if progress is None:
-            return None
-        advance = partial(progress.update, progress.add_task(name, total=count))
-        return lambda done, total: advance(completed=done, total=total)
-
     recording = record(
         scene,
         rig.camera,
@@ -139,14 +131,14 @@ def take_strip(
         rig.errors,
         np.random.default_rng(settings.seed),
         workers,
-        bar("rendering"),
+        bar(progress, "rendering", count),
         geometry=rig.geometry,
         believed=rig.believed,
         believed_camera=rig.believed_camera,
     )
     rendered = time.perf_counter()
     believed, prior = known_poses("robot", recording, rig, None)
-    contours = all_contours(believed, bar("contours"))
+    contours = all_contours(believed, bar(progress, "contours", count))
     used, unseen = believed[: settings.views], believed[settings.views :]
     views, found = recover_strip(used, contours[: settings.views], _of_first(prior, settings.views))
     recovered = time.perf_counter()
@@ -227,12 +219,12 @@ def _report(
     table: Table,
     content: dict[str, Any],
 ) -> Report:
-    poses = RigidTransform.concatenate([view.T_world_camera for view in result.views])
+    unseen = content["prediction_rms_px"]
+    facts = {} if unseen is None else {"unseen views, rms": f"{unseen:.3f} px"}
     mesh = surface_mesh(result.extrapolation)
-    sigma = np.asarray(mesh.vertex_attributes["sigma"], float)
-    images = [view.image for view in result.views]
-    view, caption = surface_view(scene, result.views[0].camera, poses, images, mesh, sigma)
-    return strip_report(folder, view, caption, table, content, asdict(settings))
+    return surface_report(
+        "strip", folder, scene, result.views, mesh, facts, PICTURES, table, content, asdict(settings)
+    )
 
 
 def _table(result: StripResult, content: dict[str, Any]) -> Table:

@@ -1,21 +1,67 @@
-"""The 3D view of a surface that was recovered: coloured by sigma and by its distance to the truth, which lies beneath."""
+"""The report of a surface that was recovered: its 3D view, coloured by sigma and by its distance to the truth, which lies beneath."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+import cv2
 import matplotlib
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
+from rich.table import Table
 from scipy.spatial.transform import RigidTransform
 
-from extremal.estimator import Camera
+from extremal.estimator import Camera, View
 from extremal.estimator.camera import Array
 from extremal.scenes import Scene
+from extremal.scripts.report import Report
 from extremal.scripts.report_mesh import DisplayMesh
 from extremal.scripts.report_scene import Scene3D
 
 NEARER = 0.4  # of the cameras' distance from which the view starts
 AWAY = 0.01  # [m] farther from all objects than that, a surface is not of the scene and has the last colour
+
+
+def surface_report(
+    command: str,
+    folder: Path,
+    scene: Scene,
+    views: Sequence[View],
+    surface: trimesh.Trimesh,
+    facts: Mapping[str, str],
+    pictures: Mapping[str, str],
+    table: Table,
+    content: Mapping[str, Any],
+    settings: Mapping[str, Any],
+) -> Report:
+    """The surface in 3D, pictures of the `folder`, and the command's table.
+
+    Args:
+        views: that the surface was made from.
+        surface: in the world [m], with the attribute `sigma` of its n vertices, along their normals [m].
+        facts: besides the distances to the truth. pictures: file names and captions. content: of result.json.
+    """
+    distances = {
+        name: f"{1e3 * content[key]:.3f} mm"
+        for name, key in (("rms to truth", "rms_m"), ("95 %", "p95_m"))
+        if content[key] is not None
+    }
+    report = Report(
+        f"extremal {command}: {settings['scene']}", f"{settings['views']} views, seed {settings['seed']}"
+    )
+    poses = RigidTransform.concatenate([view.T_world_camera for view in views])
+    images = [np.asarray(view.image, np.uint8) for view in views]
+    sigma = np.asarray(surface.vertex_attributes["sigma"], float)
+    report.facts({**distances, **facts}).scene(
+        *surface_view(scene, views[0].camera, poses, images, surface, sigma)
+    )
+    for name, words in pictures.items():
+        stored = cv2.imread(str(folder / name))
+        if stored is not None:
+            report.picture(cv2.cvtColor(stored, cv2.COLOR_BGR2RGB).astype(np.uint8), words)
+    report.table(table).section("How it was made")
+    return report.settings({**settings, "timing_s": content["timing_s"]})
 
 
 def surface_view(

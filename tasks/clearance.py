@@ -6,22 +6,9 @@ from extremal.estimator.camera import Array
 from extremal.scenes import Ellipsoid, Lathe, Scene, Sphere, Superquadric, Surface
 from extremal.tasks.level_sets import LatheLevel, level_set
 
-FAR = 0.15  # [m] from which a bound on a distance will do
 CHECKED = 0.004  # [m] between points of a step at which distance is measured
 ITERATIONS, CONVERGED = 20, 1e-9  # [m]
 SAMPLES = 400  # of a meridian
-
-
-def gap(scene: Scene, points: Array, radius: float) -> float:
-    """Smallest distance [m] from the surface of a sphere with its centre at points (n, 3) to any object; a lower bound where
-    that is far."""
-    return min(_distance(surface, points) for surface in scene.objects) - radius
-
-
-def _distance(surface: Surface, points: Array) -> float:
-    centre, radius = surface.bounding_sphere
-    beyond = float(np.min(np.linalg.norm(points - centre, axis=1)) - radius)
-    return beyond if beyond > FAR else float(np.min(surface.signed_distance(points)))
 
 
 def between(start: Array, end: Array) -> Array:
@@ -32,7 +19,7 @@ def between(start: Array, end: Array) -> Array:
 
 
 class Clearance:
-    """The smallest distance of a moving sphere from any object: `gap` of all the way, at less cost.
+    """The smallest distance of a moving sphere from any object.
 
     A distance changes by no more than the sphere moves, and a convex object stays behind the tangent plane at its nearest
     point: objects are measured only where these bounds leave room for less than the smallest distance so far.

@@ -17,11 +17,15 @@ from extremal.estimator.calibration import MOST_PARAMETERS, Calibration, Simulat
 from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.files import write_whole
-from extremal.estimator.reading import read_toml, shown
+from extremal.estimator.reading import read_toml
+from extremal.estimator.toml_values import Table, integer, items, number, numbers, text
 
 FORMAT = 1
 LARGEST_FILE = 2_000_000  # bytes
 LARGEST_NUMBER = 1e9
+_number = number(LARGEST_NUMBER)
+_items = items(2 * MOST_PARAMETERS)
+_numbers = numbers(LARGEST_NUMBER, 2 * MOST_PARAMETERS)
 UNIT = 1e-6  # a quaternion's norm may be off 1 by this: it was rounded when written by hand
 
 _TITLE = "# A camera calibrated on a robot's flange (extremal calibrate). Metres, radians, pixels; pixel (0, 0) is the centre\n# of the top-left one. T_a_b maps coordinates of frame b to frame a. Quaternions are x, y, z, w.\n"
@@ -43,9 +47,9 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     Raises:
         InvalidInput: the file can't be written.
     """
-    text, path = _text(calibration), Path(path)
+    content, path = _content(calibration), Path(path)
     try:
-        write_whole(path, text)
+        write_whole(path, content)
     except OSError as error:
         raise InvalidInput(f"calibration file {str(path)!r} can't be written: {error.strerror}") from None
 
@@ -58,12 +62,12 @@ def load_calibration(path: str | Path) -> Calibration:
     """
     path = Path(path)
     try:
-        return _calibration(_Table(read_toml(path, LARGEST_FILE), "the file"))
+        return _calibration(Table(read_toml(path, LARGEST_FILE)))
     except InvalidInput as error:
         raise InvalidInput(f"calibration {path.name}: {' '.join(str(error).split())}") from None
 
 
-def _text(calibration: Calibration) -> str:
+def _content(calibration: Calibration) -> str:
     position, rotation = calibration.view_errors
     tables: dict[str, Mapping[str, Any]] = {
         "camera": asdict(calibration.camera),
@@ -103,40 +107,14 @@ def _pose_table(pose: RigidTransform) -> dict[str, Any]:
     return {"translation": pose.translation, "quaternion": pose.rotation.as_quat()}
 
 
-class _Table:
-    """A TOML table that is emptied key by key, so that what is left over is unknown."""
-
-    def __init__(self, values: Any, where: str) -> None:
-        if not isinstance(values, dict):
-            raise InvalidInput(f"{where} is {shown(values)}; accepted: a table")
-        self.values, self.where, self.known = dict(values), where, []
-
-    def take(self, key: str, read: Callable[[Any, str], Any]) -> Any:
-        self.known.append(key)
-        if key not in self.values:
-            raise InvalidInput(f"{self.where} lacks the key {key!r}")
-        return read(self.values.pop(key), key if self.where == "the file" else f"{self.where}.{key}")
-
-    def done(self) -> None:
-        if self.values:
-            raise InvalidInput(
-                f"{self.where} has the unknown key {next(iter(self.values))!r:.60}; accepted: {', '.join(self.known)}"
-            )
-
-
-def _calibration(table: _Table) -> Calibration:
-    version = table.take("format", _integer)
+def _calibration(table: Table) -> Calibration:
+    version = table.take("format", integer)
     if version != FORMAT:
         raise InvalidInput(f"format is {version}; accepted: {FORMAT}")
-    fit = table.take("fit", _Table)
-    views, rms, position, rotation = (
-        fit.take(key, read)
-        for key, read in (
-            ("views", _integer),
-            ("rms", _number),
-            ("view_position_error", _number),
-            ("view_rotation_error", _number),
-        )
+    fit = table.take("fit", Table)
+    views = fit.take("views", integer)
+    rms, position, rotation = (
+        fit.take(key, _number) for key in ("rms", "view_position_error", "view_rotation_error")
     )
     fit.done()
     arm = table.take("arm", _arm)
@@ -164,9 +142,9 @@ def _value_of(kind: type[Any]) -> Callable[[Any, str], Any]:
     """Reads a dataclass of numbers and texts, a key for each field."""
 
     def read(values: Any, where: str) -> Any:
-        table, content = _Table(values, where), {}
+        table, content = Table(values, where), {}
         for item in fields(kind):
-            reader = {int: _integer, float: _number, str: _text_value}.get(item.type, _numbers)  # pyright: ignore[reportArgumentType, reportCallIssue]
+            reader = {int: integer, float: _number, str: text}.get(item.type, _numbers)  # pyright: ignore[reportArgumentType, reportCallIssue]
             content[item.name] = table.take(item.name, reader)
         table.done()
         return kind(**content)
@@ -175,7 +153,7 @@ def _value_of(kind: type[Any]) -> Callable[[Any, str], Any]:
 
 
 def _pose(values: Any, where: str) -> RigidTransform:
-    table = _Table(values, where)
+    table = Table(values, where)
     translation = table.take("translation", _numbers)
     quaternion = table.take("quaternion", _numbers)
     table.done()
@@ -189,19 +167,18 @@ def _pose(values: Any, where: str) -> RigidTransform:
 
 
 def _arm(values: Any, where: str) -> dict[str, float]:
-    names = _Table(values, where).values
+    names = Table(values, where).values
     if len(names) > MOST_PARAMETERS:
         raise InvalidInput(f"{where} has {len(names)} parameters; accepted: up to {MOST_PARAMETERS}")
     return {name: _number(value, f"{where}.{name:.60}") for name, value in names.items()}
 
 
 def _covariance(values: Any, where: str) -> tuple[list[str], np.ndarray]:
-    table = _Table(values, where)
+    table = Table(values, where)
     names = [
-        _text_value(item, f"{where}.parameters[{i}]")
-        for i, item in enumerate(table.take("parameters", _list))
+        text(item, f"{where}.parameters[{i}]") for i, item in enumerate(table.take("parameters", _items))
     ]
-    rows = [_numbers(row, f"{where}.matrix[{i}]") for i, row in enumerate(table.take("matrix", _list))]
+    rows = [_numbers(row, f"{where}.matrix[{i}]") for i, row in enumerate(table.take("matrix", _items))]
     table.done()
     if len(rows) != len(names) or any(len(row) != len(names) for row in rows):
         raise InvalidInput(
@@ -209,34 +186,3 @@ def _covariance(values: Any, where: str) -> tuple[list[str], np.ndarray]:
             f"{len(names)} of {len(names)}, as there are parameters"
         )
     return names, np.array(rows)
-
-
-def _number(value: Any, where: str) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not abs(value) <= LARGEST_NUMBER:  # NaN compares false
-        raise InvalidInput(f"{where} is {shown(value)}; accepted: a number within +-{LARGEST_NUMBER:g}")
-    return float(value)
-
-
-def _integer(value: Any, where: str) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or abs(value) >= 2**63:
-        raise InvalidInput(f"{where} is {shown(value)}; accepted: a whole number")
-    return value
-
-
-def _text_value(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not 1 <= len(value) <= 200 or not value.isprintable():
-        raise InvalidInput(f"{where} is {shown(value)}; accepted: a short text")
-    return value
-
-
-def _list(value: Any, where: str) -> list[Any]:
-    if not isinstance(value, list) or len(value) > 2 * MOST_PARAMETERS:
-        raise InvalidInput(
-            f"{where} is {shown(value)}; accepted: a list of up to {2 * MOST_PARAMETERS} items"
-        )
-    return value
-
-
-def _numbers(value: Any, where: str) -> tuple[float, ...]:
-    return tuple(_number(item, f"{where}[{i}]") for i, item in enumerate(_list(value, where)))

@@ -11,7 +11,8 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator.errors import InvalidInput, SceneError
-from extremal.estimator.reading import read_toml, shown
+from extremal.estimator.reading import read_toml
+from extremal.estimator.toml_values import Reader, Table, number, numbers, text
 from extremal.scenes.box import Box
 from extremal.scenes.curves import Appearance
 from extremal.scenes.lathe import Lathe
@@ -24,6 +25,7 @@ from extremal.scenes.surface import Surface
 
 LARGEST_FILE = 1_000_000  # bytes
 MOST_CURVED = 20  # objects; cut finely into facets, each may take 130 MB and half a second
+MOST_ITEMS = MOST_MARKINGS  # of a list
 LARGEST_NUMBER = 1e4  # no length, angle in degrees or strength in a scene is larger
 
 
@@ -57,8 +59,8 @@ def _read(path: Path) -> Scene:
     except InvalidInput as error:
         raise SceneError(f"scene file {str(path)!r}: {_one_line(error)}") from None
     try:
-        return _scene(_Table(table, "scene"), path)
-    except SceneError as error:
+        return _scene(Table(table, "scene"), path)
+    except (InvalidInput, SceneError) as error:
         raise SceneError(f"{path.name}: {_one_line(error)}") from None
 
 
@@ -66,93 +68,37 @@ def _one_line(error: Exception) -> str:
     return " ".join(str(error).split())
 
 
-class _Table:
-    """A TOML table that is emptied key by key, so that what is left over is unknown."""
-
-    def __init__(self, values: Any, where: str) -> None:
-        if not isinstance(values, dict):
-            raise SceneError(f"{where} is {shown(values)}; accepted: a table")
-        self.values, self.where, self.known = dict(values), where, []
-
-    def take(self, key: str, read: Callable[[Any, str], Any], default: Any = ...) -> Any:
-        self.known.append(key)
-        if key not in self.values:
-            if default is ...:
-                raise SceneError(f"{self.where} lacks the key {key!r}")
-            return default
-        return read(self.values.pop(key), f"{self.where}.{key}")
-
-    def tables(self, key: str) -> list["_Table"]:
-        return self.take(
-            key,
-            lambda items, where: [
-                _Table(item, f"{where}[{i}]") for i, item in enumerate(_list(items, where))
-            ],
-            [],
-        )
-
-    def done(self) -> None:
-        if self.values:
-            raise SceneError(
-                f"{self.where} has the unknown key {next(iter(self.values))!r:.60}; accepted: {', '.join(self.known)}"
-            )
+_number = number(LARGEST_NUMBER)
 
 
-def _number(value: Any, where: str) -> float:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if not is_number or not abs(value) <= LARGEST_NUMBER:  # NaN compares false
-        raise SceneError(f"{where} is {shown(value)}; accepted: a number within +-{LARGEST_NUMBER:g}")
-    return float(value)
-
-
-def _text(value: Any, where: str) -> str:
-    if not isinstance(value, str) or not 1 <= len(value) <= 200 or not value.isprintable():
-        raise SceneError(f"{where} is {shown(value)}; accepted: a short text")
-    return value
-
-
-def _list(value: Any, where: str) -> list:
-    if not isinstance(value, list):
-        raise SceneError(f"{where} is {shown(value)}; accepted: a list")
-    if len(value) > MOST_MARKINGS:
-        raise SceneError(f"{where} has {len(value)} items; accepted: up to {MOST_MARKINGS}")
-    return value
-
-
-def _numbers(count: int | None = None) -> Callable[[Any, str], tuple[float, ...]]:
-    def read(value: Any, where: str) -> tuple[float, ...]:
-        numbers = tuple(_number(item, f"{where}[{i}]") for i, item in enumerate(_list(value, where)))
-        if count is not None and len(numbers) != count:
-            raise SceneError(f"{where} has {len(numbers)} numbers; accepted: {count}")
-        return numbers
-
-    return read
+def _numbers(count: int | None = None) -> Reader[tuple[float, ...]]:
+    return numbers(LARGEST_NUMBER, MOST_ITEMS, count)
 
 
 def _colour(value: Any, where: str) -> tuple[float, ...]:
     """A grey level, [r, g, b] or [r, g, b, a], each in [0, 1]."""
     if not isinstance(value, list):
         return (_number(value, where),) * 3 + (1.0,)
-    numbers = _numbers()(value, where)
-    if len(numbers) not in (3, 4):
+    channels = _numbers()(value, where)
+    if len(channels) not in (3, 4):
         raise SceneError(
-            f"{where} has {len(numbers)} numbers; accepted: a grey level, [r, g, b] or [r, g, b, a]"
+            f"{where} has {len(channels)} numbers; accepted: a grey level, [r, g, b] or [r, g, b, a]"
         )
-    return numbers if len(numbers) == 4 else (*numbers, 1.0)
+    return channels if len(channels) == 4 else (*channels, 1.0)
 
 
-def _scene(table: _Table, path: Path) -> Scene:
-    name = table.take("name", _text, path.stem)
+def _scene(table: Table, path: Path) -> Scene:
+    name = table.take("name", text, path.stem)
     target = table.take("target", _numbers(3), (0.0, 0.0, 0.1))
     sky = table.take("sky", _colour, (0.85, 0.87, 0.9, 1.0))[:3]
     lights = []
-    for light in table.tables("lights"):
-        values = {"direction": light.take("direction", _numbers(3))}
+    for light in table.tables("lights", MOST_ITEMS):
+        values: dict[str, Any] = {"direction": light.take("direction", _numbers(3))}
         for key in ("diffuse", "ambient", "specular"):
             values[key] = light.take(key, _number, getattr(Light, key))
         light.done()
         lights.append(Light(**values))
-    objects = [_object(item, path.resolve().parent) for item in table.tables("objects")]
+    objects = [_object(item, path.resolve().parent) for item in table.tables("objects", MOST_ITEMS)]
     table.done()
     curved = sum(not isinstance(surface, Box) for surface in objects)
     if curved > MOST_CURVED:
@@ -160,8 +106,8 @@ def _scene(table: _Table, path: Path) -> Scene:
     return Scene(tuple(objects), tuple(lights), Background(sky), target, name)  # pyright: ignore[reportArgumentType]
 
 
-def _object(table: _Table, folder: Path) -> Surface:
-    kind = table.take("type", _text)
+def _object(table: Table, folder: Path) -> Surface:
+    kind = table.take("type", text)
     if kind not in _READERS:
         raise SceneError(f"{table.where}.type is {kind!r}; accepted: {', '.join(_READERS)}")
     position = table.take("position", _numbers(3), (0.0, 0.0, 0.0))
@@ -171,7 +117,7 @@ def _object(table: _Table, folder: Path) -> Surface:
         np.array(position), Rotation.from_euler("xyz", angles, degrees=True)
     )
     common = {
-        "name": table.take("name", _text, kind),
+        "name": table.take("name", text, kind),
         "T_world_object": pose,
         "appearance": Appearance(
             table.take("colour", _colour, Appearance.rgba),  # pyright: ignore[reportArgumentType]
@@ -184,14 +130,19 @@ def _object(table: _Table, folder: Path) -> Surface:
     return surface
 
 
-def _lathe(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
+def _lathe(table: Table, common: dict[str, Any], folder: Path) -> Surface:
     z, r = table.take("profile_z", _numbers()), table.take("profile_r", _numbers())
-    return Lathe(z, r, tuple(_lathe_patch(m, i) for i, m in enumerate(table.tables("markings"))), **common)
+    return Lathe(
+        z,
+        r,
+        tuple(_lathe_patch(m, i) for i, m in enumerate(table.tables("markings", MOST_MARKINGS))),
+        **common,
+    )
 
 
-def _lathe_patch(table: _Table, i: int) -> LathePatch:
+def _lathe_patch(table: Table, i: int) -> LathePatch:
     patch = LathePatch(
-        table.take("name", _text, f"marking{i}"),
+        table.take("name", text, f"marking{i}"),
         math.radians(table.take("azimuth_deg", _number, 0.0)),
         math.radians(table.take("width_deg", _number)),
         table.take("bottom", _number),
@@ -202,15 +153,17 @@ def _lathe_patch(table: _Table, i: int) -> LathePatch:
     return patch
 
 
-def _box(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
+def _box(table: Table, common: dict[str, Any], folder: Path) -> Surface:
     size = table.take("size", _numbers(3))
-    return Box(size, tuple(_box_patch(m, i) for i, m in enumerate(table.tables("markings"))), **common)
+    return Box(
+        size, tuple(_box_patch(m, i) for i, m in enumerate(table.tables("markings", MOST_MARKINGS))), **common
+    )
 
 
-def _box_patch(table: _Table, i: int) -> BoxPatch:
+def _box_patch(table: Table, i: int) -> BoxPatch:
     patch = BoxPatch(
-        table.take("name", _text, f"marking{i}"),
-        table.take("face", _text),
+        table.take("name", text, f"marking{i}"),
+        table.take("face", text),
         table.take("centre", _numbers(2)),
         table.take("size", _numbers(2)),
         table.take("colour", _colour),
@@ -219,12 +172,12 @@ def _box_patch(table: _Table, i: int) -> BoxPatch:
     return patch
 
 
-def _lengths(shape: Callable[..., Surface], *keys: str) -> Callable[[_Table, dict[str, Any], Path], Surface]:
+def _lengths(shape: Callable[..., Surface], *keys: str) -> Callable[[Table, dict[str, Any], Path], Surface]:
     return lambda table, common, folder: shape(*(table.take(key, _number) for key in keys), **common)
 
 
-def _mesh(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
-    relative = table.take("file", _text)
+def _mesh(table: Table, common: dict[str, Any], folder: Path) -> Surface:
+    relative = table.take("file", text)
     path = Path(os.path.realpath(folder / relative))  # unlike resolve(), of links in a circle too
     if Path(relative).is_absolute() or not path.is_relative_to(folder):
         raise SceneError(
@@ -233,7 +186,7 @@ def _mesh(table: _Table, common: dict[str, Any], folder: Path) -> Surface:
     return Mesh.from_file(path, scale=table.take("scale", _number, 1.0), **common)
 
 
-_READERS: dict[str, Callable[[_Table, dict[str, Any], Path], Surface]] = {
+_READERS: dict[str, Callable[[Table, dict[str, Any], Path], Surface]] = {
     "lathe": _lathe,
     "box": _box,
     "sphere": _lengths(Sphere, "radius"),

@@ -1,5 +1,6 @@
 """`extremal evaluate`: a policy's success over the test episodes, with confidence intervals."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -14,9 +15,11 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from extremal.estimator import InvalidInput
+from extremal.estimator.files import write_whole
+from extremal.scripts.episodes import run_evaluation
 from extremal.scripts.report import Report
 from extremal.sim.arm_errors import ArmName
-from extremal.tasks.evaluation import Evaluation, run_evaluation, write_json
+from extremal.tasks.evaluation import Evaluation
 from extremal.tasks.leaderboard import METRICS, SETTING, leaderboard
 
 
@@ -67,7 +70,7 @@ def evaluate(settings: EvaluateSettings) -> None:
             settings.workers,
             lambda done, total: progress.update(task, completed=done, total=total),
         )
-    write_json(settings.out / "evaluation.json", found)
+    write_whole(settings.out / "evaluation.json", json.dumps(found, indent=1))
     rows = leaderboard(settings.out / "leaderboard.json", found)
     metrics = _metrics_table(found)
     _report(settings, rows, metrics, _leaderboard_table(rows, METRICS)).save(settings.out / "report.html")

@@ -1,20 +1,15 @@
-"""How well a policy does: episodes of the test seeds, each by itself and kept as soon as it has ended, and their summary."""
+"""How well a policy does: episodes of the test seeds, each by itself, and their summary."""
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from extremal.estimator.errors import ExtremalError, InvalidInput
-from extremal.estimator.files import write_whole
+from extremal.estimator.errors import InvalidInput
 from extremal.sim.arm_errors import ARMS
 from extremal.tasks import ENVIRONMENTS
 from extremal.tasks.metrics import bootstrap_interval, wilson_interval
@@ -24,10 +19,6 @@ from extremal.tasks.sensors import SENSORS
 from extremal.tasks.tiers import TEST_SEEDS, get_tier
 
 NOT_METRICS = ("is_success",)
-
-
-class WorkerDied(ExtremalError, RuntimeError):
-    """A process that ran episodes died."""
 
 
 @dataclass(frozen=True)
@@ -100,53 +91,6 @@ def run_episode(
         env.close()
 
 
-def run_evaluation(
-    evaluation: Evaluation,
-    folder: Path,
-    workers: int = 1,
-    progress: Callable[[int, int], None] | None = None,
-) -> dict[str, Any]:
-    """Run what is missing of the episodes, and summarise all. Results are the same for any number of workers.
-
-    Args:
-        folder: where each episode's result is kept, and found again when the evaluation is started anew.
-        workers: processes (spawned); 1: this one.
-
-    Raises:
-        WorkerDied: a process was killed; what has ended is kept.
-    """
-    kept = folder / "episodes"
-    kept.mkdir(parents=True, exist_ok=True)
-    paths = {seed: kept / f"{evaluation.key}-{seed}.json" for seed in evaluation.seeds}
-    missing = [seed for seed, path in paths.items() if not path.exists()]
-    done = len(paths) - len(missing)
-    report = progress or (lambda done, total: None)
-    report(done, len(paths))
-    for seed, result in _results(evaluation, missing, workers):
-        write_json(paths[seed], result)
-        done += 1
-        report(done, len(paths))
-    return summary(evaluation, [json.loads(path.read_text()) for path in paths.values()])
-
-
-def _results(
-    evaluation: Evaluation, seeds: list[int], workers: int
-) -> Iterable[tuple[int, dict[str, float]]]:
-    if workers <= 1 or len(seeds) <= 1:
-        for seed in seeds:
-            yield seed, run_episode(evaluation, seed)
-        return
-    with ProcessPoolExecutor(min(workers, len(seeds)), mp_context=get_context("spawn")) as pool:
-        jobs = {pool.submit(run_episode, evaluation, seed): seed for seed in seeds}
-        try:
-            for job in as_completed(jobs):
-                yield jobs[job], job.result()
-        except BrokenProcessPool:
-            raise WorkerDied(
-                "a process that ran episodes died (killed, or out of memory); start again: what has ended is kept"
-            ) from None
-
-
 def summary(evaluation: Evaluation, results: list[dict[str, float]]) -> dict[str, Any]:
     """What evaluation.json holds: success with its interval (Wilson), medians and percentiles of everything else, what was
     evaluated, and the outcome of each episode (1: success)."""
@@ -184,8 +128,3 @@ def _spread(values: list[float]) -> dict[str, float | list[float] | None]:
         "mean": float(known.mean()),
         "mean_ci95": [float(low), float(high)],
     }
-
-
-def write_json(path: Path, content: Any) -> None:
-    """All of it or nothing, even when the process is killed."""
-    write_whole(path, json.dumps(content, indent=1))

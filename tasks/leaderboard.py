@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from extremal.tasks.evaluation import write_json
+from extremal.estimator.files import write_whole
 from extremal.tasks.metrics import normalised_score
 
 SETTING = ("env", "tier", "sensor", "arm")
@@ -29,7 +29,7 @@ def leaderboard(path: Path, found: Row) -> list[Row]:
 
     Args:
         path: of a JSON file, which need not be there yet.
-        found: what `run_evaluation` returned.
+        found: what `summary` of an evaluation returned.
 
     Returns a row a policy and setting: `score` and `score_ci95` are None until random and oracle are in the table for the same
     setting; `outcomes` holds a 1 or 0 for each episode, that of the test seed numbered `seed` first.
@@ -45,7 +45,7 @@ def leaderboard(path: Path, found: Row) -> list[Row]:
             row, [r for r in rows if all(r[k] == row[k] for k in SETTING)]
         )
     rows.sort(key=lambda row: (*(str(row[k]) for k in SETTING), -row["success_rate"]))
-    write_json(path, rows)
+    write_whole(path, json.dumps(rows, indent=1))
     return rows
 
 

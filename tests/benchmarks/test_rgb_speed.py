@@ -26,11 +26,13 @@ def seconds(frame: Callable[[], object]) -> float:
 
 def in_turns(eye: Eye, pose: RigidTransform) -> Array:
     """Times (FRAMES, 2) [s] of an image as it is observed, and of the same by `mujoco.Renderer` alone."""
-    data, there = mujoco.MjData(eye.model), swap_camera_axes(pose)
+    assert eye._drawing is not None
+    model = eye._drawing.model
+    data, there = mujoco.MjData(model), swap_camera_axes(pose)
     data.mocap_pos[0] = there.translation
     data.mocap_quat[0] = there.rotation.as_quat(scalar_first=True)
-    mujoco.mj_forward(eye.model, data)
-    bare = mujoco.Renderer(eye.model, RGB, RGB)
+    mujoco.mj_forward(model, data)
+    bare = mujoco.Renderer(model, RGB, RGB)
 
     def barely() -> Array:
         bare.update_scene(data, EYE)

@@ -5,6 +5,7 @@ import pytest
 from extremal.scripts.edge_study import EdgeRow, camera_edge_study, edge_table, simple_edge_study
 
 
+@pytest.mark.slow
 def test_fixed_edges_and_backlit_silhouettes_are_unbiased() -> None:
     rows = simple_edge_study(2)
     assert {row.name for row in rows} == {"box outline", "box creases", "backlit sphere", "backlit lathe"}

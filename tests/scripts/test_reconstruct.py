@@ -62,6 +62,7 @@ def test_what_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     assert 1e5 < (out / "report.html").stat().st_size < 6e6
 
 
+@pytest.mark.slow
 def test_views_that_are_far_apart_are_refused() -> None:
     settings = ReconstructSettings("ellipsoid", views=4, resolution=40, quality="preview")
     with pytest.raises(DegenerateGeometry, match="less than about 50 degrees"):

@@ -143,7 +143,12 @@ def test_the_errors_of_the_book() -> None:
 
 @pytest.mark.parametrize(
     ("name", "trials"),
-    [("absolute", 20000), ("1 reference", 20000), (BOOTSTRAPPED, 250), ("joint, 12 fixed points", 100)],
+    [
+        ("absolute", 20000),
+        ("1 reference", 20000),
+        (BOOTSTRAPPED, 250),
+        pytest.param("joint, 12 fixed points", 100, marks=pytest.mark.slow),
+    ],
 )
 def test_the_limit_of_discrimination(name: str, trials: int) -> None:
     row = limit_row("robot", name, Errors(0.02, 2e-5, 4e-5), trials, np.random.default_rng(2))

@@ -48,7 +48,13 @@ def test_pixel_zero_is_the_centre_of_the_top_left_pixel(leaning: Scene, camera: 
     assert abs(edges.offsets.mean()) < 0.003
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in ("waisted-vase", "sphere") else pytest.mark.slow)
+        for name in PRESETS
+    ],
+)
 def test_silhouette_of_the_preset(name: str) -> None:
     edges = edges_of(load_scene(name), Camera(), "metrology")
     assert len(edges.offsets) > 300
@@ -73,7 +79,7 @@ def test_each_quality_samples_more_finely(leaning: Scene) -> None:
     assert rms["metrology"] < 0.7 * rms["standard"]
 
 
-@pytest.mark.parametrize("quality", ["standard", "metrology"])
+@pytest.mark.parametrize("quality", ["standard", pytest.param("metrology", marks=pytest.mark.slow)])
 def test_lens_distortion(leaning: Scene, quality: str) -> None:
     camera = Camera(fx=700.0, cx=305.0, distortion=(-0.25, 0.1, 0.002, -0.003, 0.02))
     edges = edges_of(leaning, camera, quality)

@@ -79,7 +79,7 @@ def _through_pixels(chains: Chains) -> Splines:
     u, breaks = arc_length(chains.positions, chains.chain)
     count = np.bincount(chains.chain)
     t = knots(u, chains.chain, breaks, np.full(len(u), FIRST_SPACING), count // 3, 2.0)
-    return fit(u, chains.positions, np.ones(len(u)), t, breaks, u[:1])[0]
+    return fit(u, chains.positions, np.ones(len(u)), t, breaks).splines
 
 
 def _localised(
@@ -135,16 +135,15 @@ def _window_starts(curves: Splines) -> tuple[Array, np.ndarray]:
 def _profiles(grey: np.ndarray, position: Array, normal: Array) -> Array:
     """Mean intensity (n, K) over the lines (n, ROWS, 2) at `offsets()` along their normals."""
     s = offsets()
-    at = position[..., None, :] + s[:, None] * normal[..., None, :]
-    at = np.rint(at * SUBPIXEL) / SUBPIXEL
+    px, py, nx, ny = position[..., :1], position[..., 1:], normal[..., :1], normal[..., 1:]
+    x = np.rint((px + s * nx) * SUBPIXEL) / SUBPIXEL
+    y = np.rint((py + s * ny) * SUBPIXEL) / SUBPIXEL
     # rounding moves a sample along the normal too: correct its value by the slope that its line shows there
-    moved = np.sum((at - position[..., None, :]) * normal[..., None, :], axis=-1) - s
+    moved = (x - px) * nx + (y - py) * ny - s
     n, rows, count = moved.shape
-    x, y = np.moveaxis(at.reshape(n * rows, count, 2).astype(np.float32), -1, 0)
-    values = cv2.remap(grey, x, y, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE).reshape(
-        n, rows, count
-    )
-    mean = values.mean(axis=1)
+    x32, y32 = (v.astype(np.float32).reshape(n * rows, count) for v in (x, y))
+    values = cv2.remap(grey, x32, y32, cv2.INTER_LANCZOS4, borderMode=cv2.BORDER_REPLICATE)
+    mean = values.reshape(n, rows, count).mean(axis=1)
     slope = np.gradient(mean, axis=1)
     return mean - slope * moved.mean(axis=1)
 
@@ -156,12 +155,14 @@ def _clearance(edges: np.ndarray, position: Array, normal: Array) -> Array:
     shading of a limb may pass for an edge, too, but for a faint one.
     """
     s = offsets()
-    at = np.rint(position[..., None, :] + s[:, None] * normal[..., None, :]).astype(int)
+    x, y = (np.rint(position[..., i, None] + s * normal[..., i, None]) for i in range(2))
     height, width = edges.shape
-    gradient = edges[np.clip(at[..., 1], 0, height - 1), np.clip(at[..., 0], 0, width - 1)]
-    own = gradient[..., np.abs(s) < 3].max(axis=2).mean(axis=1)
+    at = np.minimum(np.maximum(y, 0), height - 1) * width + np.minimum(np.maximum(x, 0), width - 1)
+    gradient = edges.ravel()[at.astype(np.intp)]
+    near = slice(HALF_WIDTH - 2, HALF_WIDTH + 3)  # these may be the contour's own pixels
+    own = gradient[..., near].max(axis=2).mean(axis=1)
     hit = gradient > RIVAL * own[:, None, None]
-    hit[..., np.abs(s) < 3] = False  # these may be the contour's own pixels
+    hit[..., near] = False
     lines = (hit[..., :-1] | hit[..., 1:]).sum(axis=1)
     beside = np.maximum(np.pad(lines, ((0, 0), (0, 1))), np.pad(lines, ((0, 0), (1, 0)))) >= ROWS - 1
     beside &= hit.any(axis=1)
@@ -189,11 +190,11 @@ def _through_edgels(
     spacing = np.clip(BEND_SPACING * radius**0.75, 1.5 * ROWS, SPACING)
     t = knots(u, contour, breaks, spacing, np.bincount(contour) - 3, 1.5 * ROWS)
     weights = 1 / sigma
-    splines, _ = fit(u, positions, weights, t, breaks, u[:1])
-    at, _, normal, _ = splines.frame(u)
+    at, _, normal, _ = fit(u, positions, weights, t, breaks).splines.frame(u)
     misfit = np.abs(np.sum((positions - at) * normal, axis=1)) / sigma
     weights = np.minimum(1.0, HUBER / np.maximum(misfit, 1e-9)) / sigma
-    splines, variance = fit(u, positions, weights, t, breaks, u)
+    found = fit(u, positions, weights, t, breaks)
+    splines, variance = found.splines, found.variance()
     at, _, normal, _ = splines.frame(u)
     misfit = (np.sum((positions - at) * normal, axis=1) * weights) ** 2
     freedom = np.maximum(1 - variance * weights**2, 0.0)  # what the spline leaves of each edgel's residual

@@ -1,6 +1,7 @@
 """Matching along epipolar lines: where the contours of a view cross the epipolar planes of tracked points."""
 
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class EdgelMap:
 
     def __init__(self, contours: Contours, width: int, height: int, reach: int) -> None:
         self.width, self.height, self.reach = width, height, reach
-        self.index = np.full((height + 2 * reach, width + 2 * reach), -1, np.int32)
+        self._x = self._y = self._edgel = np.zeros(0, np.intp)  # of pixels on the contours
         if len(contours.u) == 0:
             return
         u = np.arange(contours.u[0], contours.u[-1], 1.0)
@@ -27,22 +28,48 @@ class EdgelMap:
         nearest -= (u - contours.u[nearest - 1]) < (contours.u[nearest] - u)
         within = contours.contour[nearest] == contours.splines.contour_of(u)
         u, nearest = u[within], nearest[within]
-        x, y = np.rint(contours.splines.curve(u)).astype(int).T + reach
-        inside = (x >= reach) & (x < width + reach) & (y >= reach) & (y < height + reach)
-        x, y, nearest = x[inside], y[inside], nearest[inside]
-        steps = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
-        steps = steps[(steps**2).sum(axis=1) <= reach**2]
-        for dy, dx in steps[np.argsort(-(steps**2).sum(axis=1), kind="stable")]:
-            self.index[y + dy, x + dx] = nearest
+        x, y = np.rint(contours.splines.curve(u)).astype(np.intp).T
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        self._x, self._y, self._edgel = x[inside], y[inside], nearest[inside]
+
+    @cached_property
+    def _near(self) -> np.ndarray:
+        """Edgel (height + 2 reach, width + 2 reach) nearest to each pixel."""
+        reach = self.reach
+        near = np.full((self.height + 2 * reach, self.width + 2 * reach), -1, np.int32)
+        for dy, dx in _disc(reach)[::-1]:
+            near[self._y + (reach + dy), self._x + (reach + dx)] = self._edgel
+        return near
 
     def lookup(self, pixels: Array) -> np.ndarray:
         """Edgel (...) near pixels (..., 2), -1 where there is none."""
+        x, y, inside = self._rounded(pixels)
+        return np.where(inside, self._near[y + self.reach, x + self.reach], -1)
+
+    def lookup_few(self, pixels: Array) -> np.ndarray:
+        """The same (n,) of so few pixels (n, 2) that to prepare the answers for all of them does not pay."""
+        on = np.full((self.height + 2 * self.reach, self.width + 2 * self.reach), -1, np.int32)
+        on[self._y + self.reach, self._x + self.reach] = self._edgel
+        x, y, inside = self._rounded(pixels)
+        dy, dx = self.reach - _disc(self.reach).T
+        around = on[y[:, None] + dy, x[:, None] + dx]
+        first = np.argmax(around >= 0, axis=1)
+        return np.where(inside, around[np.arange(len(x)), first], -1)
+
+    def _rounded(self, pixels: Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """x, y (...) of pixels (..., 2) and whether they are in the image; 0 where not."""
         with np.errstate(invalid="ignore"):
             x, y = np.rint(pixels[..., 0]), np.rint(pixels[..., 1])
             inside = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
-        x = np.where(inside, x, 0).astype(np.intp)
-        y = np.where(inside, y, 0).astype(np.intp)
-        return np.where(inside, self.index[y + self.reach, x + self.reach], -1)
+        return np.where(inside, x, 0).astype(np.intp), np.where(inside, y, 0).astype(np.intp), inside
+
+
+@lru_cache(maxsize=16)
+def _disc(reach: int) -> np.ndarray:
+    """Steps (k, 2) (y, x) to the pixels within `reach`, the nearest first."""
+    steps = np.mgrid[-reach : reach + 1, -reach : reach + 1].reshape(2, -1).T
+    steps = steps[(steps**2).sum(axis=1) <= reach**2]
+    return steps[np.argsort(-(steps**2).sum(axis=1), kind="stable")][::-1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +104,7 @@ def cross(
     lines (`loose`), its nearest point stands in, with a sigma that says so.
     """
     predicted = sequence.project(view, points)
-    index = edgels.lookup(predicted)
+    index = edgels.lookup_few(predicted)
     found = index >= 0
     if len(contours.u) == 0 or not found.any():
         n = len(points)

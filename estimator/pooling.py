@@ -10,11 +10,22 @@ def window_sum(values: Array, group: np.ndarray, half: int) -> tuple[Array, Arra
 
     Groups (n,) are runs of equal numbers, such as the contour on which each edgel lies, in order.
     """
-    n = len(values)
+    first, last = windows(group, half)
+    return sum_between(values, first, last), (last - first).astype(float)
+
+
+def windows(group: np.ndarray, half: int) -> tuple[np.ndarray, np.ndarray]:
+    """First (n,) of the rows from `half` before to `half` after each within its group (n,), and the row after the last."""
+    n = len(group)
     index = np.arange(n)
-    new = np.flatnonzero(np.diff(group, prepend=group[:1] - 1)) if n else index
-    run = np.repeat(np.arange(len(new)), np.diff(new, append=n))
-    first = np.maximum(index - half, new[run])
-    last = np.minimum(index + half + 1, np.append(new, n)[1:][run])
-    total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0, dtype=float)])
-    return total[last] - total[first], (last - first).astype(float)
+    starts = np.concatenate([np.flatnonzero(group[1:] != group[:-1]) + 1, [n]])
+    run = np.searchsorted(starts, index, side="right")
+    begin = np.concatenate([[0], starts])
+    return np.maximum(index - half, begin[run]), np.minimum(index + half + 1, starts[run])
+
+
+def sum_between(values: Array, first: np.ndarray, last: np.ndarray) -> Array:
+    """Sum (n, ...) of values (m, ...) from the row first (n,) to that before last (n,)."""
+    total = np.zeros((len(values) + 1, *values.shape[1:]))
+    np.cumsum(values, axis=0, out=total[1:])
+    return total[last] - total[first]

@@ -117,12 +117,12 @@ def fit_profiles(
     """
     variance = noise**2 / rows
     y = (profiles - profiles.mean(axis=1, keepdims=True)).astype(np.float32)
-    fit = _fit_window(y, variance, blur, HALF_WIDTH, MODELS, chains)
+    fit = _fit_windows([(y, HALF_WIDTH, chains)], variance, blur, MODELS)
     values, misfit = fit.values, fit.misfit
     # what spoils the wide window may lie outside a narrow one
     spoilt = np.flatnonzero(misfit > 1.5)
     if len(spoilt):
-        narrow = _fit_window(y[spoilt], variance, blur, HALF_WIDTH // 2 + 1, MODELS, chains[spoilt])
+        narrow = _fit_windows([(y[spoilt], HALF_WIDTH // 2 + 1, chains[spoilt])], variance, blur, MODELS)
         better = narrow.misfit * 1.5 + 0.5 < misfit[spoilt]
         values[spoilt[better]], misfit[spoilt[better]] = narrow.values[better], narrow.misfit[better]
     ambiguity = np.zeros(len(y))
@@ -130,11 +130,14 @@ def fit_profiles(
         # another edge beside this one looks much like the shading of a limb: a plain step in a window that ends before it
         # is the other reading, and the truth is taken to lie between the two
         width = np.clip(clear - 1.0, 2, HALF_WIDTH).astype(int)
-        for half in range(2, HALF_WIDTH):
-            near = np.flatnonzero(width == half)
-            if len(near):
-                step = _fit_window(y[near], variance, blur, half, MODELS[:1], chains[near])
-                ambiguity[near] = _between(values, misfit, near, step)
+        parts = [(half, np.flatnonzero(width == half)) for half in range(2, HALF_WIDTH)]
+        parts = [(half, near) for half, near in parts if len(near)]
+        if parts:
+            near = np.concatenate([near for _, near in parts])
+            windows = [(y[near], half, chains[near]) for half, near in parts]
+            ambiguity[near] = _between(
+                values, misfit, near, _fit_windows(windows, variance, blur, MODELS[:1])
+            )
     offset, sigma, limb = values.T
     positive, negative = profiles[:, -5:-2].mean(axis=1), profiles[:, 2:5].mean(axis=1)
     return ProfileFit(offset, sigma * np.sqrt(np.maximum(misfit, 1.0)), ambiguity, positive - negative, limb)
@@ -158,18 +161,16 @@ class _WindowFit:
     misfit: Array  # (n,) chi2 per degree of freedom
 
 
-def _fit_window(
-    y: Values, variance: float, blur: float, half_width: int, models: tuple[Model, ...], chains: np.ndarray
+def _fit_windows(
+    windows: list[tuple[Values, int, np.ndarray]], variance: float, blur: float, models: tuple[Model, ...]
 ) -> _WindowFit:
-    grid, bank = _bank(blur, half_width, models)
-    count, samples = len(y), 2 * half_width + 1
-    used = np.abs(offsets()) <= half_width
-    y = y - y[:, used].mean(axis=1, keepdims=True)
-    projected = (y @ bank).reshape(count, len(models), len(grid), COLUMNS)
-    energy = np.sum(y[:, used] ** 2, axis=1)
-    chi2 = (energy[:, None, None] - np.einsum("nmec,nmec->nme", projected, projected)) / variance
+    """Fits of profiles, half their width that is used, and their chains: each part by itself, one after the other."""
+    grid = _bank(blur, HALF_WIDTH, models)[0]
+    chi2 = np.concatenate([_chi2(y, variance, blur, half, models) for y, half, _ in windows])
     offset, sigma, lowest = _posterior(chi2.astype(float), grid)
+    samples = np.repeat([2 * half + 1 for _, half, _ in windows], [len(y) for y, _, _ in windows])
     parameters = np.array([m.parameters for m in models])
+    chains = np.concatenate([c for _, _, c in windows]) * (2 * HALF_WIDTH + 2) + samples
     total, neighbours = window_sum(np.minimum(lowest, 1e6), chains, POOLED // 2)
     pooled = total * (POOLED / neighbours)[:, None]
     # every window has parameters of its own: each takes 1 +- sqrt(2) off its chi2 even where there is nothing to fit
@@ -183,12 +184,22 @@ def _fit_window(
     sides = np.array([m.side * m.limb for m in models])
     best = np.argmax(weight, axis=1)
     freedom = samples - parameters[best]
-    rows = np.arange(count)
+    rows = np.arange(len(best))
     along, own = pooled[rows, best] / (POOLED * freedom), lowest[rows, best] / freedom
     misfit = np.maximum(along, own / (1 + 2.5 * np.sqrt(2 / freedom)))
     found = weight.sum(axis=1) > 0.5
     sigma_total = np.where(found, np.sqrt(total), np.inf)
     return _WindowFit(np.stack([mean, sigma_total, weight @ sides], axis=1), misfit)
+
+
+def _chi2(y: Values, variance: float, blur: float, half_width: int, models: tuple[Model, ...]) -> Values:
+    """chi2 (n, M, E) of profiles (n, K) within half_width, by the models and offsets on the grid."""
+    grid, bank = _bank(blur, half_width, models)
+    used = np.abs(offsets()) <= half_width
+    y = y - y[:, used].mean(axis=1, keepdims=True)
+    energy = np.sum(y[:, used] ** 2, axis=1)
+    projected = (y @ bank).reshape(len(y), len(models), len(grid), COLUMNS)
+    return (energy[:, None, None] - np.einsum("nmec,nmec->nme", projected, projected)) / variance
 
 
 def _posterior(chi2: Array, grid: Array) -> tuple[Array, Array, Array]:

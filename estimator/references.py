@@ -11,13 +11,15 @@ Points of one contour have like labels, and edges of theirs that were localised 
 are pooled along contours and count as much as the number of independent ones among them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
+from scipy.linalg.lapack import dpotrf, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
-from extremal.estimator.pooling import window_sum
+from extremal.estimator.pooling import sum_between, windows
 
 BROAD = 0.08  # [m] scale of the radii of extremal boundaries, a Cauchy density: any size may come
 FALSE = 0.05  # share of false references that is accepted
@@ -91,6 +93,7 @@ class _Problem:
     contour: np.ndarray
     prior: Array
     overlap: float
+    known: dict[bytes, tuple[Array, Array, Array]] = field(default_factory=dict)  # what was judged
 
     def solve(self) -> tuple[np.ndarray, Array, Array, Array]:
         trials = self.trials()
@@ -98,9 +101,7 @@ class _Problem:
         fixed = np.zeros(len(self.radius), bool)
         fixed[trials[np.argmax(scores)]] = True
         for _ in range(ROUNDS):
-            mean, variance = self.given(fixed)
-            probability = self.probability(mean, variance)
-            chosen = _discoveries(probability)
+            chosen = _discoveries(self.judged(fixed)[2])
             if fixed.sum() == 1:  # which can't be judged by itself: it stays while others join it, or do not
                 chosen |= fixed
             if np.array_equal(chosen, fixed) or not chosen.any():
@@ -108,17 +109,22 @@ class _Problem:
                 break
             fixed = chosen
         if fixed.sum() == 1:  # no pair
-            fixed[:] = False
-        mean, variance = self.given(fixed)
-        sigma = np.sqrt(variance)
+            fixed = np.zeros(len(fixed), bool)
+        mean, variance, _ = self.judged(fixed)
         # a rival: a feature that can't be fixed if these are, and explains the radii nearly as well
-        against = ~fixed[trials] & (np.abs(mean[trials]) > 4 * sigma[trials])
+        against = ~fixed[trials] & (mean[trials] ** 2 > 16 * variance[trials])
         if fixed.any() and np.max(scores[against], initial=-np.inf) > scores.max() - CERTAIN:
-            fixed[:] = False
+            fixed = np.zeros(len(fixed), bool)
+        mean, variance, probability = self.judged(fixed)
+        return fixed, probability, mean, np.sqrt(variance)
+
+    def judged(self, fixed: np.ndarray) -> tuple[Array, Array, Array]:
+        """Mean, variance and probability of being fixed (n,) of every radius, given that those of `fixed` are zero."""
+        key = fixed.tobytes()  # rounds come back to the same ones
+        if key not in self.known:
             mean, variance = self.given(fixed)
-            probability = self.probability(mean, variance)
-            return fixed, probability, mean, np.sqrt(variance)
-        return fixed, self.probability(mean, variance), mean, sigma
+            self.known[key] = mean, variance, self.probability(mean, variance)
+        return self.known[key]
 
     def trials(self) -> np.ndarray:
         """The best known features, spread over the contours."""
@@ -127,9 +133,24 @@ class _Problem:
         rank = np.arange(len(order)) - first  # within its contour, the best known first
         return order[np.argsort(rank, kind="stable")][:TRIALS]
 
+    @cached_property
+    def total(self) -> Array:
+        """Variance (n,) of every radius."""
+        return self.own + np.sum(self.shared**2, axis=1)
+
+    @cached_property
+    def log_prior(self) -> tuple[Array, Array]:
+        """Log of the prior of being fixed, and of not being so, (n,) each, less log(2 pi) / 2 and log(pi)."""
+        return np.log(self.prior) - 0.5 * np.log(2 * np.pi), np.log1p(-self.prior) - np.log(np.pi)
+
+    @cached_property
+    def neighbours(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows (n,) that are pooled with each: the first, and that after the last."""
+        return windows(self.contour, round(2 * self.overlap))
+
     def scores(self, trials: np.ndarray) -> Array:
         """Log likelihood (T,) of all radii if the feature of each of the trials (T,) is fixed."""
-        radius, total = self.radius[trials], self.own + np.sum(self.shared**2, axis=1)
+        radius, total = self.radius[trials], self.total
         common = self.shared[trials] @ self.shared.T
         gain = common / total[trials, None]
         others = np.logaddexp(*self.densities(self.radius - gain * radius[:, None], total - gain * common))
@@ -139,28 +160,29 @@ class _Problem:
 
     def densities(self, mean: Array, variance: Array) -> tuple[Array, Array]:
         """Log of prior times density (..., n) of the radius of a fixed feature and of any other."""
-        zero = -0.5 * mean**2 / variance - 0.5 * np.log(2 * np.pi * variance)
-        wide = np.hypot(BROAD, np.sqrt(variance))
-        free = -np.log(np.pi * wide * (1 + (mean / wide) ** 2))
-        return np.log(self.prior) + zero, np.log1p(-self.prior) + free
+        square, (fixed, free) = mean**2, self.log_prior
+        wide2 = BROAD**2 + variance
+        zero = fixed - 0.5 * (square / variance + np.log(variance))
+        return zero, free - 0.5 * np.log(wide2) - np.log1p(square / wide2)
 
     def probability(self, mean: Array, variance: Array) -> Array:
         """Probability (n,) that a feature is fixed: both its own radius and its neighbours' along the contour must say so."""
         zero, free = self.densities(mean, variance)
         odds = np.clip(zero - free, -30.0, 30.0)
-        pooled, count = window_sum(odds, self.contour, round(2 * self.overlap))
-        return 1 / (1 + np.exp(-np.minimum(odds, pooled / np.minimum(self.overlap, count))))
+        first, last = self.neighbours
+        pooled = sum_between(odds, first, last) / np.minimum(self.overlap, last - first)
+        return 1 / (1 + np.exp(-np.minimum(odds, pooled)))
 
     def given(self, fixed: np.ndarray) -> tuple[Array, Array]:
         """Mean and variance (n,) of every radius given that those of `fixed` are zero; of each of these given the others."""
-        if not fixed.any():
-            return self.radius.copy(), self.own + np.sum(self.shared**2, axis=1)
+        if not fixed.any() or not self.shared.size:
+            return self.radius, self.total
         F, own = self.shared[fixed], self.own[fixed] * self.overlap
         information = np.eye(F.shape[1]) + (F / own[:, None]).T @ F
-        covariance = np.linalg.inv(information)
-        x = covariance @ (F.T @ (self.radius[fixed] / own))
-        mean = self.radius - self.shared @ x
-        spread = np.sum((self.shared @ covariance) * self.shared, axis=1)
+        # with L L' the information on x, of covariance inv(L)' inv(L)
+        told = dtrtrs(dpotrf(information, lower=1)[0], self.shared.T, lower=1)[0]
+        mean = self.radius - told.T @ (told[:, fixed] @ (self.radius[fixed] / own))
+        spread = np.vecdot(told.T, told.T)
         # leave one out: with leverage a = spread / own, residual and variance grow by 1 / (1 - a)
         leverage = np.where(fixed, 1 - spread / (self.own * self.overlap), 1.0)
         return mean / leverage, self.own + np.where(fixed, spread / leverage, spread)

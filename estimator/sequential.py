@@ -26,6 +26,9 @@ from extremal.estimator.references import bootstrap
 from extremal.estimator.tracking import GATE, LEAST_GATE, NEAREST, PARALLEL, track
 
 ROUGH = 0.04  # of the distance: sigma of a depth from the first views
+LEAST_IN_STEP = 12  # matches from which on they tell of the pose that they share
+IN_STEP_ROUNDS = 6
+LEAST_SPREAD = 0.1  # [px] of predictions among each other
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
 
 
@@ -158,6 +161,7 @@ class SequentialShape:
         sigma = np.hypot(found.sigma, sequence.pose_sigma(0, distance))
         gate = LEAST_GATE / view.camera.fx + GATE * np.hypot(spread, sigma)
         ok = found.found & (np.abs(self._circles.innovation(view.centre, points, found.rays)) < gate)
+        ok = in_step(ok, view, points, found.tangent_planes @ sequence.rotations[0])
         self._circles.update(ok, view.centre, found.rays, sigma, points)
         self._direction = np.where(ok[:, None], found.directions, self._direction)
         self._pixels = np.where(ok[:, None], found.pixels, self._pixels)
@@ -212,6 +216,35 @@ class SequentialShape:
             self._filter.T_world_camera,
             self._filter.pose_covariance,
         )
+
+
+def in_step(ok: np.ndarray, view: View, points: Array, normals: Array) -> np.ndarray:
+    """Which matches `ok` (n,) move as the others do.
+
+    An error d of the pose moves all contours together: a tangent plane n (in the camera frame) passes its contact point p by
+    n.p = [n, p x n] d. What is left of these distances, once the likeliest d for most of the tracks is taken out, tells a track
+    that has gone over to another contour, as where an edge goes behind a limb, long before it is as far off as a pose may be.
+
+    Args:
+        points: (n, 3) [m] predicted contact points, in the world. normals: (n, 3) unit, of the tangent planes, in the camera frame.
+    """
+    rows = np.flatnonzero(ok)
+    if len(rows) < LEAST_IN_STEP:
+        return ok
+    normals = normals[rows]
+    p = (points[rows] - view.centre) @ view.T_world_camera.rotation.as_matrix()
+    distance = np.linalg.norm(p, axis=1)
+    misses = np.sum(normals * p, axis=1) / distance
+    A = np.concatenate([normals, np.cross(p, normals)], axis=1) @ _root(view) / distance[:, None]
+    left, scale = misses, 0.0
+    for _ in range(IN_STEP_ROUNDS):
+        scale = max(1.48 * float(np.median(np.abs(left))), LEAST_SPREAD / view.camera.fx)
+        weight = 1 / (scale * np.maximum(np.abs(left), scale))  # Huber's: of far ones, the sign counts
+        weighted = A.T * weight
+        left = misses - A @ np.linalg.solve(weighted @ A + np.eye(A.shape[1]), weighted @ misses)
+    alike = np.zeros_like(ok)
+    alike[rows] = np.abs(left) < LEAST_GATE / view.camera.fx + GATE * scale
+    return alike
 
 
 def _alone(view: View, travel: Array) -> Sequence3D:

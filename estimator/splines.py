@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.linalg import cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
+from scipy.linalg.lapack import dtbtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.camera import Array
 
@@ -69,10 +70,28 @@ def knots(
     return np.sort(np.concatenate([inner, np.repeat(breaks, DEGREE + 1)]))
 
 
-def fit(
-    u: Array, positions: Array, weights: Array, t: Array, breaks: Array, at: Array
-) -> tuple[Splines, Array]:
-    """Least-squares splines through positions (n, 2) at u (n,), and their variance (m,) at parameters `at` (m,).
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Splines with the Cholesky factor of their information, upper banded, and the basis functions at the data."""
+
+    splines: Splines
+    factor: Array
+    values: Array
+    column: np.ndarray
+
+    def variance(self) -> Array:
+        """Variance (n,) of the curve across itself at the data: |L^-1 b|^2 of the basis functions b there."""
+        n, count = len(self.column), self.factor.shape[1]
+        wanted = np.zeros((count, n))
+        wanted[self.column + np.arange(DEGREE + 1)[:, None], np.arange(n)] = self.values.T
+        half, failed = dtbtrs(self.factor, wanted, uplo="U", trans="T")
+        if failed:
+            raise LinAlgError("the information on a spline is singular")
+        return np.einsum("ij,ij->j", half, half)
+
+
+def fit(u: Array, positions: Array, weights: Array, t: Array, breaks: Array) -> Fit:
+    """Least-squares splines through positions (n, 2) at u (n,).
 
     weights (n,) are 1 / sigma across the contour. A trace of smoothness decides where the data leave a coefficient open.
     """
@@ -87,14 +106,9 @@ def fit(
         for k in range(2):
             right[:, k] += np.bincount(column + i, weighted[:, i] * positions[:, k], count)
     banded += 1e-7 * banded[DEGREE].max() * _bending(t, breaks)
-    factor = (cholesky_banded(banded, check_finite=False), False)
-    curve = BSpline(t, cho_solve_banded(factor, right, check_finite=False), DEGREE)
-    values, column = _basis(at, t)
-    wanted = np.zeros((count, len(at)))
-    rows = column[:, None] + np.arange(DEGREE + 1)
-    wanted[rows, np.arange(len(at))[:, None]] = values
-    solved = cho_solve_banded(factor, wanted, check_finite=False)
-    return Splines(curve, breaks), np.sum(values * solved[rows, np.arange(len(at))[:, None]], axis=1)
+    factor = cholesky_banded(banded, check_finite=False)
+    curve = BSpline(t, cho_solve_banded((factor, False), right, check_finite=False), DEGREE)
+    return Fit(Splines(curve, breaks), factor, values, column)
 
 
 def _basis(u: Array, t: Array) -> tuple[Array, np.ndarray]:

@@ -1,5 +1,7 @@
 """Offscreen frames without noise: MuJoCo renders finely, the point-spread function and the pixels average."""
 
+from dataclasses import dataclass
+from functools import lru_cache
 from types import TracebackType
 from typing import Self
 
@@ -7,11 +9,13 @@ import cv2
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput, RenderingError
 from extremal.sim.axes import swap_camera_axes
+from extremal.sim.backdrop import Backdrop
 from extremal.sim.gl import select_backend
 from extremal.sim.quality import Quality, get_quality, sampling_matrix
 from extremal.sim.window import Window
@@ -40,6 +44,42 @@ def scene_model(spec: mujoco.MjSpec) -> mujoco.MjModel:
         raise RenderingError(f"MuJoCo can't compile the scene: {error}") from error
 
 
+@dataclass(frozen=True, eq=False)
+class _Stage:
+    """What an open renderer holds: garbage collection may come late to a cycle that a closed one is part of."""
+
+    gl: mujoco.GLContext
+    context: mujoco.MjrContext
+    data: mujoco.MjData
+    scene: mujoco.MjvScene
+    view: mujoco.MjvCamera
+    option: mujoco.MjvOption
+    backdrop: Backdrop | None
+
+    @staticmethod
+    def of(model: mujoco.MjModel) -> "_Stage":
+        gl = mujoco.GLContext(64, 64)
+        try:
+            gl.make_current()
+            context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_50))
+        except Exception:
+            gl.free()
+            raise
+        scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
+        backdrop = Backdrop.of(model)
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            scene.flags[flag] = 0
+        if backdrop:
+            scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 0
+        view = mujoco.MjvCamera()
+        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(EYE).id
+        return _Stage(gl, context, mujoco.MjData(model), scene, view, mujoco.MjvOption(), backdrop)
+
+    def free(self) -> None:
+        self.context.free()
+        self.gl.free()
+
+
 class FrameRenderer:
     """Renders frames of one model with one camera, in a context manager; of one thread.
 
@@ -57,15 +97,9 @@ class FrameRenderer:
 
     def __init__(self, model: mujoco.MjModel, camera: Camera, quality: str | Quality = "standard") -> None:
         self.camera, self.quality = camera, get_quality(quality)
-        self._model, self._data = model, mujoco.MjData(model)
+        self._model = model
         self._window = Window.around(camera, self.quality.supersampling)
-        s = self.quality.supersampling
-        self._rows = sampling_matrix(camera.height, s, camera.blur)[
-            :, ::-1
-        ]  # OpenGL's rows start at the bottom
-        self._columns = sampling_matrix(camera.width, s, camera.blur)
-        self._gl: mujoco.GLContext | None = None
-        self._context: mujoco.MjrContext | None = None
+        self._stage: _Stage | None = None
         self._check_model()
 
     def __enter__(self) -> Self:
@@ -74,23 +108,11 @@ class FrameRenderer:
         model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.quality.offsamples, model.vis.quality.shadowsize = SAMPLES, 0
         model.vis.map.znear = NEAR / model.stat.extent
-        eye = model.camera(EYE).id
-        model.cam_resolution[eye] = model.cam_sensorsize[eye] = width, height  # lengths in rendered pixels
         try:
-            self._gl = gl = mujoco.GLContext(64, 64)
-            gl.make_current()
-            self._context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_50))
+            self._stage = _Stage.of(model)
         except Exception as error:
-            self.close()
             raise RenderingError(f"no offscreen rendering of {width} x {height} px: {error}") from error
-        self._check_buffer()
-        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
-        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-            self._scene.flags[flag] = 0
-        self._view = mujoco.MjvCamera()
-        self._view.type, self._view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, eye
-        self._option = mujoco.MjvOption()
-        self._pixels = np.empty((height, width, 3), np.uint8)
+        self._check_buffer(self._stage.context)
         return self
 
     def __exit__(
@@ -100,25 +122,25 @@ class FrameRenderer:
 
     def close(self) -> None:
         """Free the buffers; the renderer can be entered again."""
-        if self._context is not None:
-            self._context.free()
-            self._context = None
-        if self._gl is not None:
-            self._gl.free()
-            self._gl = None
+        if self._stage is not None:
+            self._stage.free()
+            self._stage = None
 
-    def render(self, T_world_camera: RigidTransform, gains: ArrayLike = WHITE) -> NDArray[np.float32]:
+    def render(
+        self, T_world_camera: RigidTransform, gains: ArrayLike = WHITE, part: Camera | None = None
+    ) -> NDArray[np.float32]:
         """The frame (height, width) [grey levels] seen from a pose, or from poses (S) in turn while the shutter is open.
 
         Args:
             T_world_camera: a pose; or S, those in the middle of equal parts of the exposure, of which the mean is taken.
             gains: (3,) of R, G and B, before their mean is taken.
+            part: the camera, `cropped`: of its frame only this part is rendered, in less time.
 
         Raises:
-            InvalidInput: a pose is not finite, or gains are not positive.
+            InvalidInput: a pose is not finite, gains are not positive, or the part is larger than the whole.
             RenderingError: outside the context manager.
         """
-        if self._context is None or self._gl is None:
+        if self._stage is None:
             raise RenderingError("the renderer is closed; use it in a `with` statement")
         shape = T_world_camera.as_matrix().shape[:-2]
         # MuJoCo renders from a camera that is not finite, in single precision, without an error: black
@@ -129,42 +151,56 @@ class FrameRenderer:
         weights = np.asarray(gains, np.float32)
         if weights.shape != (3,) or not np.all((weights > 0) & np.isfinite(weights)):
             raise InvalidInput(f"gains are {weights.tolist()}; accepted: three positive numbers")
-        self._gl.make_current()
+        self._stage.gl.make_current()
         poses = [T_world_camera] if not shape else [T_world_camera[i] for i in range(len(T_world_camera))]
-        total = np.zeros(self._window.shape, np.float32)
+        camera, s = part or self.camera, self.quality.supersampling
+        window = Window.around(part, s) if part else self._window
+        if np.any(np.array(window.shape) > self._window.shape):
+            raise InvalidInput(
+                f"a part of {camera.width} x {camera.height} px; accepted: parts of {self.camera.width} x {self.camera.height} px"
+            )
+        total = np.zeros(window.shape, np.float32)
         for pose in poses:
-            self._look_from(pose)
+            self._look_from(self._stage.data, pose)
             for offset in self.quality.offsets:
-                self._draw(offset)
-                for channel, weight in zip(cv2.split(self._pixels), weights, strict=True):
-                    total += weight * channel
-        if self.camera.is_distorted:
-            total = self._window.distort(total)
+                channels = cv2.split(self._draw(self._stage, window, offset))
+                for channel, weight in zip(channels, weights, strict=True):
+                    total += channel if weight == 1 else weight * channel
+        if camera.is_distorted:
+            total = window.distort(total)
         # Sparse products: the same bytes on every machine and with any number of threads.
-        frame = (self._columns @ np.ascontiguousarray((self._rows @ total).T)).T
+        rows = _sampling(camera.height, s, camera.blur, True)
+        columns = _sampling(camera.width, s, camera.blur, False)
+        frame = (columns @ np.ascontiguousarray((rows @ total).T)).T
         return np.ascontiguousarray(frame / (3 * self.quality.passes * len(poses)), np.float32)
 
-    def _look_from(self, T_world_camera: RigidTransform) -> None:
+    def _look_from(self, data: mujoco.MjData, T_world_camera: RigidTransform) -> None:
         eye = swap_camera_axes(T_world_camera)
-        self._data.mocap_pos[0] = eye.translation
-        self._data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
-        mujoco.mj_kinematics(self._model, self._data)
-        mujoco.mj_camlight(self._model, self._data)
+        data.mocap_pos[0] = eye.translation
+        data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
+        mujoco.mj_kinematics(self._model, data)
+        mujoco.mj_camlight(self._model, data)
 
-    def _draw(self, offset: NDArray[np.floating]) -> None:
-        """Render one pass into `self._pixels`, bottom row first; `offset` (2,) shifts the image [rendered px]."""
-        (fx, fy), (cx, cy) = self._window.focal, self._window.principal + offset
-        height, width = self._window.shape
+    def _draw(self, stage: _Stage, window: Window, offset: NDArray[np.floating]) -> NDArray[np.uint8]:
+        """One pass (height, width, 3) over a window, bottom row first; `offset` (2,) shifts the image [rendered px]."""
+        (fx, fy), (cx, cy) = window.focal, window.principal + offset
+        height, width = window.shape
+        model, data, eye = self._model, stage.data, stage.view.fixedcamid
+        model.cam_resolution[eye] = model.cam_sensorsize[eye] = width, height  # lengths in rendered pixels
         # MuJoCo's principal point: both coordinates measured from the centre, against the image axes.
-        self._model.cam_intrinsic[self._view.fixedcamid] = fx, fy, width / 2 - cx, height / 2 - cy
+        model.cam_intrinsic[eye] = fx, fy, width / 2 - cx, height / 2 - cy
         categories = int(mujoco.mjtCatBit.mjCAT_ALL)
-        mujoco.mjv_updateScene(
-            self._model, self._data, self._option, None, self._view, categories, self._scene
-        )
+        mujoco.mjv_updateScene(model, data, stage.option, None, stage.view, categories, stage.scene)
+        if stage.backdrop:
+            stage.backdrop.add_to(
+                stage.scene, data.cam_xpos[eye], data.cam_xmat[eye], (width / fx, height / fy)
+            )
+        pixels = np.empty((height, width, 3), np.uint8)
         viewport = mujoco.MjrRect(0, 0, width, height)
-        mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), self._context)
-        mujoco.mjr_render(viewport, self._scene, self._context)
-        mujoco.mjr_readPixels(self._pixels, None, viewport, self._context)
+        mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), stage.context)
+        mujoco.mjr_render(viewport, stage.scene, stage.context)
+        mujoco.mjr_readPixels(pixels, None, viewport, stage.context)
+        return pixels
 
     def _check_model(self) -> None:
         if mujoco.mj_name2id(self._model, int(mujoco.mjtObj.mjOBJ_CAMERA), EYE) < 0:
@@ -175,10 +211,8 @@ class FrameRenderer:
                 f"quality {self.quality.name} renders this camera at {size} px; accepted: sides up to {MAX_BUFFER} px"
             )
 
-    def _check_buffer(self) -> None:
+    def _check_buffer(self, context: mujoco.MjrContext) -> None:
         """MuJoCo falls back in silence to what the driver can do."""
-        context = self._context
-        assert context is not None
         got = (context.offHeight, context.offWidth, context.offSamples)
         wanted = (*self._window.shape, SAMPLES)
         if got != wanted:
@@ -186,3 +220,10 @@ class FrameRenderer:
             raise RenderingError(
                 f"the offscreen buffer is (height, width, samples) = {got}; needed: {wanted}"
             )
+
+
+@lru_cache(maxsize=128)
+def _sampling(size: int, supersampling: int, blur: float, backwards: bool) -> sparse.csr_array:
+    """`sampling_matrix` of pixels that are counted from the other end, as OpenGL does with rows."""
+    matrix = sampling_matrix(size, supersampling, blur)
+    return matrix[:, ::-1] if backwards else matrix

@@ -79,11 +79,13 @@ class Sensor:
         """
         if np.shape(frame) != (camera.height, camera.width):
             raise InvalidInput(f"frame is {np.shape(frame)}; accepted: {(camera.height, camera.width)}")
-        signal = self.exposure * np.asarray(frame, np.float32) * self._illumination(camera)
+        signal = self.exposure * np.asarray(frame, np.float32)
+        if self.vignetting > 0:
+            signal *= self._illumination(camera)
         if self.shot > 0:
             signal = (self.shot * rng.poisson(np.maximum(signal, 0) / self.shot)).astype(np.float32)
         if self.noise > 0:
-            signal = signal + self.noise * rng.standard_normal(signal.shape, np.float32)
+            signal += self.noise * rng.standard_normal(signal.shape, np.float32)
         return camera.encode(signal)
 
     def _illumination(self, camera: Camera) -> NDArray[np.float32]:

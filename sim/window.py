@@ -1,6 +1,6 @@
 """The pinhole image that is rendered for a camera: with a margin, on a finer grid, before lens distortion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -85,6 +85,11 @@ class Window:
         columns = (u - self.left + 0.5) * s - 0.5
         rows = self.shape[0] - 1 - ((v - self.top + 0.5) * s - 0.5)
         return columns[::-1].astype(np.float32), rows[::-1].astype(np.float32)
+
+
+def cropped(camera: Camera, left: int, top: int, width: int, height: int) -> Camera:
+    """The camera of a part of the image: of `width` x `height` px, whose corner is the pixel (left, top)."""
+    return replace(camera, width=width, height=height, cx=camera.cx - left, cy=camera.cy - top)
 
 
 def _grid(x: Array, y: Array) -> Array:

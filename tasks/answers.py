@@ -3,15 +3,17 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
+from extremal.tasks.compiled import compiled
 from extremal.tasks.inspect_setup import InspectTruth
+from extremal.tasks.triples import Vector, dot, plus, put, row, unit
 
 LARGEST = 0.1  # [m] radii are taken to be anywhere from 0 to this, before anything is seen
 WORTHLESS = 0.02  # [m] of the score of R at which an answer is worth nothing
+LEAST, ALONG = 1e-12, 1e-9  # [m] of a ray; sine of its angle to a normal that it runs along
 RIGHT, RIGHT_SHARE, RIGHT_PLACE = 0.002, 0.1, 0.01  # [m], of R, [m]: errors of an answer that is called right
 
 
@@ -50,24 +52,30 @@ def probability_extremal(radius: float, sigma: float) -> float:
     return boundary / (boundary + fixed) if boundary + fixed > 0 else 0.5
 
 
-def contact_from(eye: Array, point: Array, normal: Array, radius: ArrayLike) -> Array:
-    """Contact points (..., 3) [m] of the osculating circles at `point` with the rays from another place: the contour generator
+@compiled
+def contact_from(eye: Vector, points: Array, normals: Array, radii: Array) -> Array:
+    """Contact points (n, 3) [m] of the osculating circles at points with the rays from another place: the contour generator
     slides over the surface as the eye moves. A fixed feature (radius 0) stays.
 
     Args:
-        eye: (3,) [m]. point: (..., 3) [m]. normal: (..., 3), of any length, out of the circle. radius: (...) [m].
+        eye: [m]. points: (n, 3) [m]. normals: (n, 3), of any length, out of the circles. radii: (n,) [m].
     """
-    R = np.asarray(radius, float)[..., None]
-    normal = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
-    centre = point - R * normal
-    away = centre - eye
-    distance = np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-12)
-    along = away / distance
-    across = normal - np.sum(normal * along, axis=-1, keepdims=True) * along
-    length = np.linalg.norm(across, axis=-1, keepdims=True)
-    share = R / distance
-    turned = -share * along + np.sqrt(np.maximum(1 - share**2, 0.0)) * across / np.maximum(length, 1e-12)
-    return np.where((np.abs(share) < 1) & (length > 1e-9), centre + R * turned, point)
+    out = np.empty(points.shape)
+    for i in range(len(points)):
+        put(out, i, _slid(eye, row(points, i), unit(row(normals, i)), radii[i]))
+    return out
+
+
+@compiled
+def _slid(eye: Vector, point: Vector, normal: Vector, radius: float) -> Vector:
+    centre = plus(point, -radius, normal)
+    away = plus(centre, -1.0, eye)
+    share = radius / max(dot(away, away) ** 0.5, LEAST)
+    along = unit(away)
+    across = plus(normal, -dot(normal, along), along)
+    if abs(share) >= 1 or dot(across, across) ** 0.5 < ALONG:
+        return point
+    return plus(plus(centre, -radius * share, along), radius * (1 - share * share) ** 0.5, unit(across))
 
 
 def crps(mean: float, sigma: float, value: float) -> float:

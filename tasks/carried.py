@@ -19,8 +19,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
-from extremal.estimator.poses import pose_exp, square_root
+from extremal.estimator.poses import square_root
 from extremal.sim import NOMINAL, ArmErrors, ArmGeometry
+from extremal.tasks.compiled import compiled
+from extremal.tasks.rigid import exponential, product
 
 READINGS = np.array([[0.3, -1.9, 1.7, 0.4, 1.3, 0.2]])  # [rad] an arm that reaches out half-way
 
@@ -74,11 +76,9 @@ class CarriedCamera:
             (bias.hand_eye_position, bias.hand_eye_rotation),
         )
 
-    def actual(self, T_world_camera: RigidTransform, rng: np.random.Generator) -> RigidTransform:
-        """Where the camera goes when it is commanded to a pose."""
-        off = self._mounted @ pose_exp(self.root @ rng.standard_normal(6)).as_matrix()
-        # products of matrices: a tenth of the time of those of transforms, which make each orthonormal again
-        return RigidTransform(self._world @ T_world_camera.as_matrix() @ off, normalize=False, copy=False)
+    def actual(self, T_world_camera: Array, rng: np.random.Generator) -> Array:
+        """Where (4, 4) the camera goes when it is commanded to a pose (4, 4)."""
+        return _reached(self._world, T_world_camera, self._mounted, self.root @ rng.standard_normal(6))
 
     @cached_property
     def _world(self) -> Array:
@@ -87,3 +87,10 @@ class CarriedCamera:
     @cached_property
     def _mounted(self) -> Array:
         return self.mounting.as_matrix()
+
+
+@compiled
+def _reached(world: Array, commanded: Array, mounting: Array, z: Array) -> Array:
+    """D T_commanded exp(h) exp(z), of twists z (6,) (translation [m], rotation vector [rad])."""
+    off = exponential((z[0], z[1], z[2]), (z[3], z[4], z[5]))
+    return product(product(product(world, commanded), mounting), off)

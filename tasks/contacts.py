@@ -1,36 +1,35 @@
 """Exact contact points of contours with planes through a moving camera, each by Newton from where it was before.
 
 Limbs: level(r) = 0, n.(r - v) = 0 and e.(r - v) = 0 on the surface, as in `Surface.contour_points_in_planes`. Fixed curves:
-e.(r(u) - v) = 0 along the polyline. What hides a point is found on samples of its line of sight: between two of them a
-chord of a few millimetres can pass an object unseen, a fraction of a pixel inside its silhouette.
+e.(r(u) - v) = 0 along the polyline.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import SceneError
-from extremal.scenes import Box, Lathe, Mesh, Scene, Surface
-from extremal.tasks.level_sets import level_set
-from extremal.tasks.section_rows import cross
+from extremal.scenes import Scene
+from extremal.tasks.compiled import compiled
+from extremal.tasks.level_sets import BOX, LATHE, OTHER, Solids, differential, local, world
+from extremal.tasks.occlusion import hidden
+from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, times, turned, turned_back, unit
 
 ITERATIONS = 8
 LONGEST_STEP = 0.01  # [m]
 CONVERGED, ACCEPTED = (
-    2e-7,
+    1e-9,
     1e-5,
-)  # [m] last step of all, and of one point: the next would be its square over the radius of curvature
+)  # [m] last step of Newton's method: the next would be its square over the radius of curvature
 FARTHEST = 0.03  # [m] that a contact point moves between two looks
-SAMPLES = 24  # along a line of sight, within the sphere around an object
-MARGIN = 0.003  # [m] before a point within which nothing hides it
 LEAST_DETERMINANT = 1e-12
-_NEXT, _LAST = np.array([1, 2, 0]), np.array([2, 0, 1])
+FARTHEST_SAMPLES, LEAST_SLOPE = 40.0, 1e-12  # of a step along a fixed curve; [m] a sample
 
 
-@dataclass(frozen=True, eq=False)
-class FixedCurves:
+class FixedCurves(NamedTuple):
     """All creases and outlines of markings of a scene in one polyline of N points.
 
     points, normals, others: (N, 3); others are the second normals of creases, elsewhere the same. first, last: (C,) indices
@@ -60,18 +59,6 @@ class FixedCurves:
             np.array(closed, bool),
         )
 
-    def at(self, u: Array, curve: NDArray[np.integer]) -> tuple[Array, Array, NDArray[np.integer]]:
-        """Points and chords (n, 3) at u (n,), and the indices (n,) of the segments."""
-        i = np.clip(u.astype(int), self.first[curve], self.last[curve] - 1)
-        start = self.points[i]
-        chord = self.points[i + 1] - start
-        return start + (u - i)[:, None] * chord, chord, i
-
-    def facing(self, i: NDArray[np.integer], ray: Array) -> NDArray[np.bool_]:
-        """Whether a face beside samples i (n,) looks back along rays (n, 3)."""
-        one, other = (np.vecdot(normals[i], ray) for normals in (self.normals, self.others))
-        return (one < 0) | (other < 0)
-
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
@@ -99,156 +86,178 @@ class EdgeGeometry:
 
     def __init__(self, scene: Scene) -> None:
         """Raises SceneError for a scene with a mesh: its contour generators are no smooth curves."""
-        for surface in scene.objects:
-            if isinstance(surface, Mesh):
+        self.surfaces, self.solids = scene.objects, Solids.of(scene.objects)
+        for surface, kind in zip(self.surfaces, self.solids.kind, strict=True):
+            if kind == OTHER:
                 raise SceneError(
-                    f"{surface.name!r} is a mesh; accepted: smooth surfaces and boxes (else: the rendered sensor)"
+                    f"{surface.name!r} is a {type(surface).__name__.lower()}; accepted: smooth surfaces and boxes "
+                    "(else: the rendered sensor)"
                 )
-        self.surfaces = scene.objects
         self.fixed = FixedCurves.of(scene)
-        self.smooth = {
-            k: SmoothSurface(s) for k, s in enumerate(self.surfaces) if not isinstance(s, Box)
-        }  # by index
-        self._boxes = Boxes([s for s in self.surfaces if isinstance(s, Box)])
+        self.smooth = np.flatnonzero(self.solids.kind != BOX)  # indices of surfaces
 
     def advance(self, contacts: Contacts, centre: Array, planes: Array) -> Contacts:
         """The contacts as seen from a centre (3,), in planes through it with normals (n, 3)."""
-        points, normals, there = contacts.points.copy(), contacts.normals.copy(), contacts.there.copy()
-        u = contacts.u
-        for k, smooth in self.smooth.items():
-            rows = np.flatnonzero(contacts.surface == k)
-            if len(rows):
-                points[rows], n, ok = smooth.limb(points[rows], centre, planes[rows])
-                there[rows], normals[rows] = ok, np.where(ok[:, None], n, normals[rows])
-        rows = np.flatnonzero(contacts.curve >= 0)
-        if len(rows):
-            u = u.copy()
-            u[rows], points[rows], normals[rows], there[rows] = self._on_curves(
-                u[rows], contacts.curve[rows], centre, planes[rows]
-            )
+        points, normals, there, u = _advanced(
+            self.solids, self.fixed, contacts.points, contacts.normals, contacts.surface, contacts.curve, contacts.u,
+            tuple(centre.tolist()), np.ascontiguousarray(planes),
+        )  # fmt: skip
         return Contacts(points, normals, there, contacts.surface, contacts.curve, u)
 
-    def _on_curves(
-        self, u: Array, curve: NDArray[np.integer], centre: Array, planes: Array
-    ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        fixed = self.fixed
-        first, last, closed = fixed.first[curve], fixed.last[curve], fixed.closed[curve]
-        error = np.zeros(len(u))
-        for _ in range(ITERATIONS):
-            at, chord, _ = fixed.at(u, curve)
-            error = np.vecdot(planes, at - centre)
-            if not np.max(np.abs(error), initial=0.0) > CONVERGED:
-                break
-            slope = np.vecdot(planes, chord)
-            u = u - np.clip(error / np.where(np.abs(slope) > 1e-12, slope, 1e-12), -40, 40)
-            u = np.where(closed, first + np.mod(u - first, last - first), np.clip(u, first, last))
-        at, chord, i = fixed.at(u, curve)
-        ray = at - centre
-        normals = _unit(cross(ray, chord))
-        there = (np.abs(error) < ACCEPTED) & fixed.facing(i, ray)
-        return u, at, normals, there
+    def limbs(self, k: int, start: Array, centre: Array, planes: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Points (n, 3) near `start` where the limb of surface k seen from a centre (3,) meets planes, and where there are any."""
+        n = len(start)
+        points, _, ok, _ = _advanced(
+            self.solids, self.fixed, start, start, np.full(n, k), np.full(n, -1), np.zeros(n), tuple(centre.tolist()), planes
+        )  # fmt: skip
+        return points, ok
 
     def hidden(self, centre: Array, points: Array) -> NDArray[np.bool_]:
         """Whether objects stand between a centre (3,) and points (n, 3)."""
-        out = self._boxes.hide(centre, points)
-        for smooth in self.smooth.values():
-            out |= smooth.hides(centre, points)
-        return out
+        return hidden(self.solids, tuple(centre.tolist()), points)
 
 
-class Boxes:
-    """All boxes of a scene at once."""
-
-    def __init__(self, boxes: list[Box]) -> None:
-        self._rotation = np.array([box._rotation for box in boxes]).reshape(-1, 3, 3)
-        self._middle = np.array([box.T_world_object.translation for box in boxes]).reshape(-1, 1, 3)
-        self._half = np.array([box._half for box in boxes]).reshape(-1, 1, 3)
-
-    def hide(self, centre: Array, points: Array) -> NDArray[np.bool_]:
-        """Whether one of them stands between a centre (3,) and points (n, 3)."""
-        c = (centre - self._middle) @ self._rotation
-        d = (points - centre) @ self._rotation
-        slow = np.where(np.abs(d) < 1e-15, 1e-15, d)  # within a face's plane
-        one, other = (-self._half - c) / slow, (self._half - c) / slow
-        enter = np.minimum(one, other).max(axis=2)
-        leave = np.maximum(one, other).min(axis=2)
-        first = np.where(enter > 0, enter, leave)
-        end = 1 - MARGIN / np.sqrt(np.vecdot(d, d))
-        return np.any((enter <= leave) & (leave > 0) & (first < end), axis=0)
-
-
-class SmoothSurface:
-    """A surface with limbs, by its level set in the object frame."""
-
-    def __init__(self, surface: Surface) -> None:
-        self._level = level_set(surface)
-        self._rotation, self._middle = surface._rotation, surface.T_world_object.translation
-        self._bounds = surface._bounds
-        self._height = surface.profile.height if isinstance(surface, Lathe) else np.inf  # of a side, from 0
-
-    def limb(self, start: Array, centre: Array, planes: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        """Points and outward normals (n, 3) of a limb near `start`, and where they were found on the surface."""
-        c, p = self._local(centre), self._local(start)
-        e = planes @ self._rotation
-        before, rows, right = p, np.empty((3, *p.shape)), np.empty((3, len(p)))
-        ray, size = p - c, np.zeros(len(p))
-        g = turned = ray
-        rows[2] = e
-        for _ in range(ITERATIONS):
-            right[0], g, turned = self._level.differential(p, ray)
-            rows[0], rows[1] = g, g + turned
-            right[1], right[2] = np.vecdot(g, ray), np.vecdot(e, ray)
-            step = _solved(rows, right)
-            size = np.sqrt(np.vecdot(step, step))
-            farthest = np.max(size, initial=0.0)
-            if farthest > LONGEST_STEP:
-                step *= np.minimum(1.0, LONGEST_STEP / np.maximum(size, 1e-12))[:, None]
-            p = p - step
-            ray = p - c
-            if not farthest > CONVERGED:
-                break
-        moved = p - before
-        ok = (size < ACCEPTED) & (np.vecdot(moved, moved) < FARTHEST**2)
-        ok &= np.vecdot(ray, turned) > 0  # concave along the ray: never seen
-        if np.isfinite(self._height):
-            ok &= (p[:, 2] > 0) & (p[:, 2] < self._height)
-        p = np.where(ok[:, None], p, before)
-        n = g - (np.vecdot(g, ray) / np.vecdot(ray, ray))[:, None] * ray  # a last step later
-        return p @ self._rotation.T + self._middle, _unit(n @ self._rotation.T), ok
-
-    def hides(self, centre: Array, points: Array) -> NDArray[np.bool_]:
-        """Whether lines of sight (n) pass through, on samples within the sphere around the object."""
-        c = self._local(centre)
-        d = (points - centre) @ self._rotation
-        middle, radius = self._bounds
-        square = np.vecdot(d, d)
-        along = d @ (middle - c) / square
-        apart = (middle - c) @ (middle - c) - along**2 * square
-        half = np.sqrt(np.maximum(radius**2 - apart, 0.0) / square)
-        start = np.maximum(along - half, 0.0)
-        end = np.minimum(along + half, 1 - MARGIN / np.sqrt(square))
-        rows = np.flatnonzero((start < end) & (half > 0))
-        out = np.zeros(len(points), bool)
-        if len(rows):
-            t = start[rows, None] + _PARTS * (end - start)[rows, None]
-            out[rows] = self._level.inside(c + t[..., None] * d[rows, None]).any(axis=1)
-        return out
-
-    def _local(self, p: Array) -> Array:
-        return (p - self._middle) @ self._rotation
+@compiled
+def _advanced(
+    solids: Solids,
+    curves: FixedCurves,
+    points: Array,
+    normals: Array,
+    surface: NDArray[np.integer],
+    curve: NDArray[np.integer],
+    u: Array,
+    centre: Vector,
+    planes: Array,
+) -> tuple[Array, Array, NDArray[np.bool_], Array]:
+    """Points, normals (n, 3), there and u (n,) of contacts in planes with normals (n, 3) through a centre [m]."""
+    n = len(u)
+    points, normals, u, there = points.copy(), normals.copy(), u.copy(), np.zeros(n, np.bool_)
+    for i in range(n):
+        plane = row(planes, i)
+        if curve[i] >= 0:
+            u[i], at, normal, there[i] = _on_curve(curves, curve[i], u[i], centre, plane)
+        else:
+            at, normal, there[i] = _on_limb(solids, surface[i], row(points, i), centre, plane)
+        put(points, i, at)
+        if there[i] or curve[i] >= 0:
+            put(normals, i, normal)
+    return points, normals, there, u
 
 
-_PARTS = (np.arange(SAMPLES) + 0.5) / SAMPLES
+@compiled
+def _on_limb(
+    solids: Solids, k: int, start: Vector, centre: Vector, plane: Vector
+) -> tuple[Vector, Vector, bool]:
+    """Point near `start` and outward normal of the limb of surface k in a plane, and whether it was found on the surface.
+
+    With ray d = r - v, differential of n.d is (n + H d), of e.d it is e: three equations for a step.
+    """
+    c, p = local(solids, k, centre), local(solids, k, start)
+    e = turned_back(solids.rotation[k], plane)
+    before, ray, size = p, plus(p, -1.0, c), 0.0
+    g = turn = ray
+    for _ in range(ITERATIONS):
+        F, g, turn = differential(solids, k, p, ray)
+        step = _solved((g, plus(g, 1.0, turn), e), (F, dot(g, ray), dot(e, ray)))
+        size = dot(step, step) ** 0.5
+        p = plus(p, -min(1.0, LONGEST_STEP / max(size, LEAST_DETERMINANT)), step)
+        ray = plus(p, -1.0, c)
+        if not size > CONVERGED:
+            break
+    moved = plus(p, -1.0, before)
+    ok = size < ACCEPTED and dot(moved, moved) < FARTHEST**2
+    ok = ok and dot(ray, turn) > 0  # concave along the ray: never seen
+    if solids.kind[k] == LATHE:
+        ok = ok and 0 < p[2] < solids.shape[k, 0]
+    if not ok:
+        return start, plane, False
+    normal = plus(g, -dot(g, ray) / dot(ray, ray), ray)  # a last step later
+    return world(solids, k, p), unit(turned(solids.rotation[k], normal)), True
 
 
-def _solved(rows: Array, right: Array) -> Array:
-    """Solutions (n, 3) of small systems, equations first (3, n, 3), (3, n), by Cramer's rule: nearly singular ones give long
-    steps, no error."""
-    crossed = cross(rows[_NEXT], rows[_LAST])
-    det = np.vecdot(rows[0], crossed[0])
-    det = np.where(np.abs(det) > LEAST_DETERMINANT, det, LEAST_DETERMINANT)
-    return np.sum(crossed * right[:, :, None], axis=0) / det[:, None]
+@compiled
+def _solved(rows: tuple[Vector, Vector, Vector], right: Vector) -> Vector:
+    """Solution of three equations by Cramer's rule: nearly singular ones give long steps, no error."""
+    first, second, third = crossed(rows[1], rows[2]), crossed(rows[2], rows[0]), crossed(rows[0], rows[1])
+    det = dot(rows[0], first)
+    if not abs(det) > LEAST_DETERMINANT:
+        det = LEAST_DETERMINANT
+    return times(1 / det, plus(plus(times(right[0], first), right[1], second), right[2], third))
 
 
-def _unit(vectors: Array) -> Array:
-    return vectors / np.sqrt(np.vecdot(vectors, vectors))[:, None]
+@compiled
+def _on_curve(
+    curves: FixedCurves, curve: int, u: float, centre: Vector, plane: Vector
+) -> tuple[float, Vector, Vector, bool]:
+    """u, point and normal of the tangent plane where a fixed curve meets a plane, and whether a face beside it looks back."""
+    first, last = float(curves.first[curve]), float(curves.last[curve])
+    error, (at, chord) = 0.0, _on_polyline(curves, curve, u)
+    for _ in range(ITERATIONS):
+        error = dot(plane, plus(at, -1.0, centre))
+        if not abs(error) > CONVERGED:
+            break
+        slope = dot(plane, chord)
+        if not abs(slope) > LEAST_SLOPE:
+            slope = LEAST_SLOPE
+        u -= min(max(error / slope, -FARTHEST_SAMPLES), FARTHEST_SAMPLES)
+        u = first + (u - first) % (last - first) if curves.closed[curve] else min(max(u, first), last)
+        at, chord = _on_polyline(curves, curve, u)
+    ray = plus(at, -1.0, centre)
+    there = abs(error) < ACCEPTED and _faces(curves, _segment(curves, curve, u), ray)
+    return u, at, unit(crossed(ray, chord)), there
+
+
+@compiled
+def _segment(curves: FixedCurves, curve: int, u: float) -> int:
+    return min(max(int(u), curves.first[curve]), curves.last[curve] - 1)
+
+
+@compiled
+def _on_polyline(curves: FixedCurves, curve: int, u: float) -> tuple[Vector, Vector]:
+    """Point of a curve at u, and the chord there."""
+    i = _segment(curves, curve, u)
+    start = row(curves.points, i)
+    chord = plus(row(curves.points, i + 1), -1.0, start)
+    return plus(start, u - i, chord), chord
+
+
+@compiled
+def _faces(curves: FixedCurves, i: int, ray: Vector) -> bool:
+    """Whether a face beside sample i looks back along a ray."""
+    return dot(row(curves.normals, i), ray) < 0 or dot(row(curves.others, i), ray) < 0
+
+
+@compiled
+def sampled_curves(
+    curves: FixedCurves, every: int, centre: Vector
+) -> tuple[Array, NDArray[np.integer], Array, Array, NDArray[np.bool_]]:
+    """Samples of fixed curves, n in all: u (n,), curves (n,), points (n, 3), normals of tangent planes (n, 3) through a centre [m],
+    and whether (n,) a face beside them looks there."""
+    n = (len(curves.points) + every - 1) // every
+    u, curve, ok = np.empty(n), np.zeros(n, np.int64), np.empty(n, np.bool_)
+    points, normals = np.empty((n, 3)), np.empty((n, 3))
+    c = 0
+    for j in range(n):
+        while j * every > curves.last[c]:
+            c += 1
+        u[j], curve[j] = j * every, c
+        point, chord = _on_polyline(curves, c, u[j])
+        ray = plus(point, -1.0, centre)
+        put(points, j, point)
+        put(normals, j, unit(crossed(ray, chord)))
+        ok[j] = _faces(curves, _segment(curves, c, u[j]), ray)
+    return u, curve, points, normals, ok
+
+
+@compiled
+def limb_normals(solids: Solids, k: int, points: Array, centre: Vector) -> tuple[Array, NDArray[np.bool_]]:
+    """Outward normals (n, 3) at points of a limb (n, 3) of surface k, and whether (n,) it is convex along the rays from a centre [m]."""
+    normals, ok = np.empty(points.shape), np.empty(len(points), np.bool_)
+    c = local(solids, k, centre)
+    for i in range(len(points)):
+        p = local(solids, k, row(points, i))
+        ray = plus(p, -1.0, c)
+        _, g, turn = differential(solids, k, p, ray)
+        put(normals, i, unit(turned(solids.rotation[k], g)))
+        ok[i] = dot(ray, turn) > 0
+    return normals, ok

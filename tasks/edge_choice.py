@@ -1,13 +1,18 @@
 """Which points of a scene's edges are tracked: few and far enough apart for their errors to be independent."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array, Camera
-from extremal.scenes import Superquadric, Surface
-from extremal.scenes.surface import tangent_basis
-from extremal.tasks.contacts import Contacts, EdgeGeometry
+from extremal.scenes import Superquadric
+from extremal.tasks.compiled import compiled
+from extremal.tasks.contacts import Contacts, EdgeGeometry, limb_normals, sampled_curves
+from extremal.tasks.distances import tangents
+from extremal.tasks.level_sets import Solids, differential, local, world
 from extremal.tasks.section_tracks import LEAST_TILT, STEEPER
+from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, times, turned, unit
 
 LIMB_TRACKS = 12  # of every surface
 FIXED_TRACKS = 20  # of all fixed curves
@@ -26,7 +31,7 @@ def choose(
         travel: (3,) unit vector of its motion.
     """
     chooser = _Chooser(geometry, camera, rotation, centre, travel)
-    parts = [chooser.limbs(k, surface) for k, surface in enumerate(geometry.surfaces)]
+    parts = [chooser.limbs(int(k)) for k in geometry.smooth]
     parts.append(chooser.fixed())
     contacts = Contacts(
         *(np.concatenate([getattr(p, name) for p, _ in parts]) for name in Contacts.__dataclass_fields__)
@@ -41,16 +46,13 @@ class _Chooser:
     ) -> None:
         self.geometry, self.camera = geometry, camera
         self.rotation, self.centre, self.travel = rotation, centre, travel
+        self._eye: Vector = tuple(centre.tolist())
 
-    def limbs(self, k: int, surface: Surface) -> tuple[Contacts, NDArray[np.integer]]:
-        curves = self._candidates(k, surface)
+    def limbs(self, k: int) -> tuple[Contacts, NDArray[np.integer]]:
+        curves = self._candidates(k)
         points = np.concatenate([np.zeros((0, 3)), *curves])
         contour = np.repeat(np.arange(len(curves)), [len(c) for c in curves])
-        n, S = surface._frame(surface._local(points))
-        ray = points - self.centre
-        local = ray @ surface._rotation
-        ok = np.vecdot(local, (S @ local[..., None])[..., 0]) > 0
-        normals = n @ surface._rotation.T
+        normals, ok = limb_normals(self.geometry.solids, k, points, self._eye)
         rows = self._even(points, contour, self._good(points, normals, ok), LIMB_TRACKS)
         there = np.ones(len(rows), bool)
         none = np.full(len(rows), -1)
@@ -59,32 +61,19 @@ class _Chooser:
         )
         return chosen, contour[rows]
 
-    def _candidates(self, k: int, surface: Surface) -> list[Array]:
+    def _candidates(self, k: int) -> list[Array]:
         """Points (n, 3) along the contour generators of a surface, in order."""
-        if k not in self.geometry.smooth:
-            return []
+        surface = self.geometry.surfaces[k]
         if not isinstance(surface, Superquadric):
             curves = surface._contour(surface._local(self.centre))
             return [surface._world(c[:: max(len(c) // CANDIDATES, 1)]) for c in curves]
-        start, planes = _fan(surface, surface._local(self.centre))
-        points, _, ok = self.geometry.smooth[k].limb(
-            surface._world(start), self.centre, planes @ surface._rotation.T
-        )
+        start, planes = _fan(self.geometry.solids, k, self._eye)
+        points, ok = self.geometry.limbs(k, start, self.centre, planes)
         return [points[ok]]
 
     def fixed(self) -> tuple[Contacts, NDArray[np.integer]]:
-        fixed = self.geometry.fixed
-        curve = np.repeat(np.arange(len(fixed.first)), fixed.last - fixed.first + 1)[::FIXED_STEP]
-        u = np.arange(len(fixed.points), dtype=float)[::FIXED_STEP]
-        if not len(u):
-            none = np.zeros(0, int)
-            blank = np.zeros((0, 3))
-            return Contacts(blank, blank, none > 0, none, none, u), none
-        points, chord, i = fixed.at(u, curve)
-        ray = points - self.centre
-        normals = np.cross(ray, chord)
-        normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-        good = self._good(points, normals, fixed.facing(i, ray))
+        u, curve, points, normals, ok = sampled_curves(self.geometry.fixed, FIXED_STEP, self._eye)
+        good = self._good(points, normals, ok)
         rows = self._even(points, curve, good, FIXED_TRACKS)
         none = np.full(len(rows), -1)
         there = np.ones(len(rows), bool)
@@ -92,15 +81,13 @@ class _Chooser:
 
     def _good(self, points: Array, normals: Array, ok: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether points (n, 3) that are `ok` stand in the image, off its border, hidden by nothing, across the travel."""
-        ray = points - self.centre
-        across = self.travel - (ray @ self.travel / np.sum(ray * ray, axis=1))[:, None] * ray
-        tilt = np.abs(np.sum(normals * across, axis=1)) / np.maximum(np.linalg.norm(across, axis=1), 1e-9)
-        pixels = self.camera.project(ray @ self.rotation)
-        high = np.array([self.camera.width, self.camera.height]) - 1 - BORDER
-        ok = ok & (tilt > STEEPER * LEAST_TILT) & np.all((pixels > BORDER) & (pixels < high), axis=1)
         rows = np.flatnonzero(ok)
-        ok[rows] = ~self.geometry.hidden(self.centre, points[rows])
-        return ok
+        pixels = self.camera.project((points[rows] - self.centre) @ self.rotation)
+        high = (self.camera.width - 1 - BORDER, self.camera.height - 1 - BORDER)
+        rows = rows[_across(self._eye, self.travel, points[rows], normals[rows], pixels, high)]
+        good = np.zeros(len(points), bool)
+        good[rows] = ~self.geometry.hidden(self.centre, points[rows])
+        return good
 
     def _even(
         self, points: Array, contour: NDArray[np.integer], good: NDArray[np.bool_], most: int
@@ -117,23 +104,49 @@ class _Chooser:
         return rows[np.unique(np.minimum(np.searchsorted(along, wanted), len(rows) - 1))]
 
 
-def _fan(surface: Superquadric, centre: Array) -> tuple[Array, Array]:
-    """Points (n, 3) near the contour generator seen from `centre` (3,), and normals (n, 3) of planes through it in which they
-    lie, in the object frame: on a convex body every half-plane bounded by the line from its middle to the camera holds one.
+@compiled
+def _across(
+    eye: Vector,
+    travel: Array,
+    points: Array,
+    normals: Array,
+    pixels: Array,
+    high: tuple[float, float],
+) -> NDArray[np.bool_]:
+    """Which (n,) points stand from BORDER to `high` [px] in the image and move across their contours."""
+    out, along = np.empty(len(points), np.bool_), (travel[0], travel[1], travel[2])
+    for i in range(len(points)):
+        ray = plus(row(points, i), -1.0, eye)
+        across = plus(along, -dot(ray, along) / dot(ray, ray), ray)
+        tilt = abs(dot(row(normals, i), unit(across)))
+        x, y = pixels[i, 0], pixels[i, 1]
+        out[i] = tilt > STEEPER * LEAST_TILT and BORDER < x < high[0] and BORDER < y < high[1]
+    return out
+
+
+@compiled
+def _fan(solids: Solids, k: int, eye: Vector) -> tuple[Array, Array]:
+    """Points (n, 3) near the contour generator of a superquadric seen from an eye, and normals (n, 3) of planes through it in which
+    they lie: on a convex body every half-plane bounded by the line from its middle to the camera holds one.
     `Surface._contour` finds a few thousand, to rounding."""
-    axis = centre / np.linalg.norm(centre)
-    u, v = tangent_basis(axis)
-    phi = np.arange(CANDIDATES)[:, None] * (2 * np.pi / CANDIDATES)
-    aside = np.cos(phi) * u + np.sin(phi) * v
-    low, high = np.zeros(CANDIDATES), np.full(CANDIDATES, np.pi)
-    points = aside
-    for _ in range(HALVINGS):
-        beta = ((low + high) / 2)[:, None]
-        d = np.cos(beta) * axis + np.sin(beta) * aside
-        gauge, gradient = surface._gauge(d)[:2]
-        points = d / gauge[:, None]
-        behind = (
-            gradient @ centre < 1
-        )  # grad G . (p - c) = 1 - grad G . c, from the side that faces the camera on
-        low, high = np.where(behind, low, beta[:, 0]), np.where(behind, beta[:, 0], high)
-    return points, np.cross(axis, aside)
+    centre = local(solids, k, eye)
+    axis = unit(centre)
+    u, v = tangents(axis)
+    points, planes = np.empty((CANDIDATES, 3)), np.empty((CANDIDATES, 3))
+    for i in range(CANDIDATES):
+        phi = i * (2 * np.pi / CANDIDATES)
+        aside = plus(times(math.cos(phi), u), math.sin(phi), v)
+        low, high, p = 0.0, np.pi, aside
+        for _ in range(HALVINGS):
+            beta = (low + high) / 2
+            d = plus(times(math.cos(beta), axis), math.sin(beta), aside)
+            F, gradient, _ = differential(solids, k, d, d)
+            p = times(1 / (F + 1), d)  # F + 1 is the gauge
+            # grad G . (p - c) = 1 - grad G . c, from the side that faces the camera on
+            if dot(gradient, centre) < 1:
+                high = beta
+            else:
+                low = beta
+        put(points, i, world(solids, k, p))
+        put(planes, i, turned(solids.rotation[k], crossed(axis, aside)))
+    return points, planes

@@ -106,8 +106,8 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         """Start an episode, of `self.setup`, after the first look."""
 
     @abstractmethod
-    def _judge(self, action: Array, before: RigidTransform) -> tuple[float, bool, bool]:
-        """Reward, whether the episode ends, and success after a step from the actual pose `before`."""
+    def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
+        """Reward, whether the episode ends, and success after a step from the actual position `before` (3,) [m]."""
 
     @abstractmethod
     def _metrics(self) -> dict[str, float]:
@@ -140,6 +140,18 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         """Further entries of the observation."""
         return {}
 
+    # Where the camera is: T_world_camera (4, 4), `T_commanded` as the robot believes, `T_actual` in truth.
+
+    @property
+    def commanded(self) -> RigidTransform:
+        """T_world_camera, as the robot believes."""
+        return RigidTransform(self.T_commanded, normalize=False)
+
+    @property
+    def actual(self) -> RigidTransform:
+        """T_world_camera, in truth."""
+        return RigidTransform(self.T_actual, normalize=False)
+
     # Gymnasium's interface.
 
     @property
@@ -159,15 +171,16 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self._setup = self._draw(episode, tier)
         self.close()
         self._sensor = make_sensor(self._sensor_name, tier.edge_noise)
-        self.scene, self.commanded = self._scene()
+        self.scene, start = self._scene()
+        self.T_commanded = start.as_matrix()
         streams = np.random.default_rng([episode, 11]).spawn(3)
         self._noise = streams[0]
         self.robot = CarriedCamera.draw(
-            get_arm(tier.arm_bias), self._scatter(get_arm(tier.arm_noise)), self.commanded, streams[1]
+            get_arm(tier.arm_bias), self._scatter(get_arm(tier.arm_noise)), start, streams[1]
         )
         self._sensor.reset(self.scene, self.camera, streams[2])
         self.steps, self.travelled, self.is_success = 0, 0.0, False
-        self.actual = self.robot.actual(self.commanded, self._noise)
+        self.T_actual = self.robot.actual(self.T_commanded, self._noise)
         self._look()
         self._begin()
         return self._observe(), self._info()
@@ -176,13 +189,13 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         """One step of `DT` seconds; an action outside its space is clipped, one that is not finite raises InvalidInput."""
         values = checked_action(action, self.action_space)  # pyright: ignore[reportArgumentType]
         self.setup  # noqa: B018  raises before the first reset
-        before = self.actual
-        self.commanded = moved(self.commanded, values[:6], self.action_mode)
-        self.actual = self.robot.actual(self.commanded, self._noise)
+        before = self.T_actual
+        self.T_commanded = moved(self.T_commanded, values[:6], self.action_mode)
+        self.T_actual = self.robot.actual(self.T_commanded, self._noise)
         self.steps += 1
-        self.travelled += math.dist(self.actual.translation, before.translation)
+        self.travelled += math.dist(self.T_actual[:3, 3], before[:3, 3])
         self._look()
-        reward, ended, self.is_success = self._judge(values, before)
+        reward, ended, self.is_success = self._judge(values, before[:3, 3])
         if not math.isfinite(reward):
             raise NonsenseObserved(
                 f"the reward of step {self.steps} is {reward!r}; accepted: a finite number"
@@ -191,16 +204,16 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         return self._observe(), float(reward), ended, truncated, self._info()
 
     def _look(self) -> None:
-        seen = self._sensor.look(self.actual, self.commanded, self.robot.covariance)
+        seen = self._sensor.look(self.T_actual, self.T_commanded, self.robot.covariance)
         if np.isnan(seen.radius[np.isfinite(seen.sigma_radius)]).any() or np.isnan(seen.position).any():
             raise NonsenseObserved(
                 "a feature has no number for its radius or position; accepted: finite ones"
             )
-        self.features = with_mounting(seen, self.commanded.translation, *self.robot.mounting_sigma)
+        self.features = with_mounting(seen, self.T_commanded[:3, 3], *self.robot.mounting_sigma)
 
     def _observe(self) -> Observation:
         observation: Observation = {
-            "pose": pose_values(self.commanded),
+            "pose": pose_values(self.T_commanded),
             "time": np.array([min(self.steps / self.max_steps, 1.0)], np.float32),
         } | self._extra()
         if self.obs_mode != "rgb":

@@ -9,7 +9,6 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import InvalidInput
@@ -114,8 +113,9 @@ class Features:
         """These features, then others, whose contours have other numbers."""
         if not len(others) or not len(self):
             return others if not len(self) else self
-        after = replace(others, contour=others.contour + self.contour.max() + 1)
-        return Features(*(np.concatenate([getattr(self, name), getattr(after, name)]) for name in _TAILS))
+        both = {name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in _TAILS}
+        both["contour"][len(self) :] += self.contour.max() + 1
+        return Features(**both)
 
 
 _TAILS = {field.name: () for field in fields(Features)} | {
@@ -174,14 +174,12 @@ class FeatureSensor(Protocol):
         """Forget everything; a new scene. `rng` is the only source of randomness until the next reset."""
         ...
 
-    def look(
-        self, T_world_camera: RigidTransform, T_world_camera_believed: RigidTransform, pose_covariance: Array
-    ) -> Features:
+    def look(self, T_world_camera: Array, T_world_camera_believed: Array, pose_covariance: Array) -> Features:
         """Look from where the camera actually is; all that is told is in the world as it is believed to be.
 
         Args:
-            T_world_camera: actual pose.
-            T_world_camera_believed: as the robot believes it, independently off in every look; pose_covariance: (6, 6) of
+            T_world_camera: (4, 4) actual pose.
+            T_world_camera_believed: (4, 4) as the robot believes it, independently off in every look; pose_covariance: (6, 6) of
                 that error, (translation [m], rotation vector [rad]) in the camera frame, of the same rank in all looks.
 
         Raises InvalidInput before `reset`, and for poses or covariances that are none.

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform
 from threadpoolctl import ThreadpoolController
 
 from extremal.estimator.camera import Array, Camera
@@ -17,8 +16,8 @@ from extremal.tasks.contacts import Contacts, EdgeGeometry
 from extremal.tasks.edge_choice import choose
 from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features
-from extremal.tasks.section_rows import cross
 from extremal.tasks.section_tracks import SectionTracks
+from extremal.tasks.sightings import believed_planes, in_camera, in_image, tangent_planes
 from extremal.tasks.track_sets import (
     FIRST_LOOKS,
     SPACING,
@@ -29,7 +28,9 @@ from extremal.tasks.track_sets import (
     first_baseline,
     travel_of,
 )
+from extremal.tasks.triples import Vector, dot
 
+SLIDES = 3e-4  # [m] of pose errors: contacts slide along curved edges by as much, and the slants seen there are off with them
 OCCLUSION_TURNS = 3  # looks, in one of which what hides tracks is looked at
 
 
@@ -51,9 +52,7 @@ class GeometricSensor:
         self._roots = PoseRoots()
         self._sets = TrackSets(lambda: _Tracks(geometry, camera, self._model, rng), self._spacing)
 
-    def look(
-        self, T_world_camera: RigidTransform, T_world_camera_believed: RigidTransform, pose_covariance: Array
-    ) -> Features:
+    def look(self, T_world_camera: Array, T_world_camera_believed: Array, pose_covariance: Array) -> Features:
         """See `FeatureSensor`."""
         if self._sets is None:
             raise InvalidInput("a sensor looks at nothing before `reset`")
@@ -130,14 +129,15 @@ class _Tracks:
         distance = np.linalg.norm(away, axis=1)
         ray = away / distance[:, None]
         self._noise = self._model.noise(contacts.curve >= 0)
-        self._travel, self._start = travel, at.believed[:3, 3]
+        self._travel, self._start = travel, at.believed[:3, 3].copy()
         self._plane = _unit(np.cross(travel, ray))
         first = np.cross(ray, self._plane)
         first *= np.where(first @ travel < 0, -1.0, 1.0)[:, None]
         frame = np.stack([first, ray, np.cross(first, ray)], axis=1)
         origin = self._start + away * (1 + ROUGH * self._rng.standard_normal((n, 1)))
+        slides = float(np.linalg.norm(at.root[:3])) > SLIDES
         self._sections = SectionTracks(
-            origin, frame, contour, distance, self._camera.fx, self._model, noisy_slant=False
+            origin, frame, contour, distance, self._camera.fx, self._model, noisy_slant=slides
         )
         self._bias, self._hidden, self._line = self._model.first_bias(n, self._rng), np.zeros(n, bool), None
         self._pixels = np.full((n, 2), np.nan)
@@ -153,46 +153,29 @@ class _Tracks:
             self._absorb(look, self._measured(look))
 
     def _move(self, look: _Look) -> None:
-        """Contacts with the epipolar planes as the robot believes them to lie: off the planes of a camera that left its line,
-        where a point at the contact's distance would lie in them."""
-        c = look.actual[:3, 3]
-        height = self._plane @ (look.believed[:3, 3] - self._start)
-        ray = self._contacts.points - c
-        square = np.vecdot(ray, ray)
-        turned = look.actual[:3, :3] @ look.believed[:3, :3].T
-        planes = self._plane @ turned.T + (height / square)[:, None] * ray
-        self._contacts = self._geometry.advance(self._contacts, c, planes)
+        """Contacts go where the epipolar planes, as the robot believes them to lie, meet the contours."""
+        planes = believed_planes(self._plane, self._start, self._contacts.points, look.actual, look.believed)
+        self._contacts = self._geometry.advance(self._contacts, look.actual[:3, 3], planes)
 
     def _measured(self, look: _Look) -> _Seen:
         self._move(look)
         contacts, camera = self._contacts, self._camera
-        away = contacts.points - look.actual[:3, 3]
-        in_camera, normals = away @ look.actual[:3, :3], contacts.normals @ look.actual[:3, :3]
-        ray = _unit(in_camera)
-        pixels = camera.project(in_camera)
+        away, line = in_camera(contacts.points, look.actual, look.believed)
         self._update_hidden(look.actual[:3, 3])
-        across = cross(ray, self._plane @ look.believed[:3, :3])
-        forth = (across @ (self._travel @ look.believed[:3, :3])) * np.vecdot(normals, across)
-        normals = normals * np.where(forth < 0, -1.0, 1.0)[:, None]
-        error, found = self._errors(ray @ look.believed[:3, :3].T)
-        across_px = normals[:, :2] / (camera.fx, camera.fy)
-        slope = np.maximum(np.sqrt(np.vecdot(across_px, across_px)), 1e-9)
-        per_px = slope * ray[:, 2]  # [rad] of the plane about the centre
-        u, v = pixels.T
-        ok = contacts.there & ~self._hidden & found & (ray[:, 2] > 0)
-        ok &= (u >= -0.5) & (u <= camera.width - 0.5) & (v >= -0.5) & (v <= camera.height - 0.5)
-        sigma = np.where(ok, self._noise * per_px, np.inf)
-        normals = _unit(normals + (error * per_px)[:, None] * ray)
-        return _Seen(normals, sigma, pixels - (error / slope)[:, None] * across_px)
+        error, found = self._errors(line)
+        normals, per_px, shift = tangent_planes(
+            away, contacts.normals, self._plane, self._travel, look.actual, look.believed, (camera.fx, camera.fy), error
+        )  # fmt: skip
+        pixels = camera.project(away)
+        ok = contacts.there & ~self._hidden & found & in_image(pixels, camera.width, camera.height)
+        return _Seen(normals, np.where(ok, self._noise * per_px, np.inf), pixels + shift)
 
-    def _errors(self, rays: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Errors (n,) [px] of edges seen along rays (n, 3), and which are found."""
-        middle = rays.mean(axis=0) if len(rays) else np.ones(3)
-        middle = middle / math.sqrt(middle @ middle)
+    def _errors(self, line: Vector) -> tuple[Array, NDArray[np.bool_]]:
+        """Errors (n,) [px] of edges, along whose middle goes a line of sight, and which are found."""
         if self._line is not None:
-            turn = math.acos(min(max(float(middle @ self._line), -1.0), 1.0))
+            turn = math.acos(min(max(dot(line, self._line), -1.0), 1.0))
             self._bias = self._model.next_bias(self._bias, turn, self._rng)
-        self._line = middle
+        self._line = line
         return self._model.draw(self._bias, self._noise, self._rng)
 
     def _update_hidden(self, centre: Array) -> None:

@@ -19,6 +19,7 @@ from extremal.tasks.grasp_setup import GraspSetup
 from extremal.tasks.grasp_world import GraspDiverged, GraspWorld
 from extremal.tasks.planning.clear_path import ClearPaths
 from extremal.tasks.planning.grasp import GraspPlan, carry_out
+from extremal.tasks.rigid import product
 from extremal.tasks.spaces import POSE_TURN, REACH, motion_space
 from extremal.tasks.tiers import Tier
 
@@ -27,6 +28,7 @@ BEFORE, BEHIND = (
     0.025,
     0.012,
 )  # [m] of the pose that is asked for, where the guarded approach begins and where it gives up
+_CAMERA_CUP = (NOMINAL.T_flange_camera.inv() * T_FLANGE_CUP).as_matrix()  # of the hand that holds both
 
 
 class GraspEnv(ActiveVisionEnv[GraspSetup]):
@@ -97,9 +99,10 @@ class GraspEnv(ActiveVisionEnv[GraspSetup]):
 
     def _begin(self) -> None:
         self.arm = CupKinematics(self.setup.T_world_base)
-        self.joints = self.arm.joint_positions(RigidTransform.concatenate([self._cup(self.commanded)]))[0]
+        cup = RigidTransform.from_matrix(product(self.T_commanded, _CAMERA_CUP)[None])
+        self.joints = self.arm.joint_positions(cup)[0]
         self._collision, self._grasp = False, dict.fromkeys(_GRASP, float("nan"))
-        self._trace = [self.actual.translation.copy()]
+        self._trace = [self.T_actual[:3, 3].copy()]
         self._world: GraspWorld | None = None
         self._near = Clearance(self.scene, CAMERA_RADIUS, smallest=1e-9)
 
@@ -110,17 +113,13 @@ class GraspEnv(ActiveVisionEnv[GraspSetup]):
         accepted = [*self.setup.azimuth_range, self.setup.level]
         return {"accepted": np.array(accepted, np.float32), "joints": self.joints.astype(np.float32)}
 
-    def _cup(self, T_world_camera: RigidTransform) -> RigidTransform:
-        """T_world_cup of the hand that holds the camera at a pose."""
-        return T_world_camera * NOMINAL.T_flange_camera.inv() * T_FLANGE_CUP
-
-    def _judge(self, action: Array, before: RigidTransform) -> tuple[float, bool, bool]:
-        here = self.actual.translation
-        self._trace.append(here.copy())
-        self._near.take_in(between(before.translation, here))
+    def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
+        here = self.T_actual[:3, 3].copy()
+        self._trace.append(here)
+        self._near.take_in(between(before, here))
         self._collision = self._near.smallest <= 0
         try:
-            self.joints = self.arm.straight(self.joints, self._cup(self.commanded))[-1]
+            self.joints = self.arm.straight_to(self.joints, product(self.T_commanded, _CAMERA_CUP))[-1]
         except UnreachablePose:
             self._collision = True  # the arm is at the end of what it can do
         if self._collision or action[6] <= 0:

@@ -5,12 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import RigidTransform, Rotation, Slerp
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
 from extremal.sim import NOMINAL, ArmGeometry, ArmKinematics, UnreachablePose, fixating
 from extremal.sim.arm import CUP_LENGTH, JOINT_LIMITS
+from extremal.tasks.arm_chain import Chain, flange_frames, line, reached
+from extremal.tasks.rigid import product
 
 # Beside a table with the target at the world's origin. As in `sim.kinematics` joints 2, 3 and 4 turn about the vertical,
 # but turned over: the forearm is carried above the hand, clear of the table. Found by trying bases on a grid, clear of the table
@@ -95,7 +97,7 @@ class CupKinematics:
 
     def __init__(self, T_world_base: RigidTransform, believed: ArmGeometry = NOMINAL) -> None:
         self.T_world_base, self.believed = T_world_base, believed
-        self._arm = ArmKinematics(T_world_base, believed)
+        self._arm, self._chain = ArmKinematics(T_world_base, believed), Chain.of(T_world_base, believed)
 
     def cup_poses(self, joint_positions: ArrayLike) -> RigidTransform:
         """T_world_cup (V) at joint positions (V, 6) [rad]."""
@@ -135,49 +137,32 @@ class CupKinematics:
         Raises:
             UnreachablePose: the line leaves the arm's reach or its branch.
         """
-        q = np.asarray(start, float)
+        return self.straight_to(start, T_world_cup.as_matrix())
+
+    def straight_to(self, start: ArrayLike, T_world_cup: Array) -> Array:
+        """As `straight`, to a pose (4, 4)."""
+        q = np.array(start, float)
         path = [q]
-        line = _line(self.cup_poses(q[None])[0], T_world_cup)
-        flanges = (line * T_FLANGE_CUP.inv()).as_matrix()
-        for cup, flange in zip(line.translation, flanges, strict=True):
-            reached = self._newton(q, flange)
-            if reached is None or np.max(np.abs(reached - q)) > JUMP:
-                place = np.round(cup, 3).tolist()
+        begin = product(flange_frames(self._chain, q)[-1], _CUP)
+        for cup in line(begin, T_world_cup, SPACING, TURN):
+            after = self._newton(q, product(cup, _FLANGE))
+            if after is None or np.abs(after - q).max() > JUMP:
+                place = np.round(cup[:3, 3], 3).tolist()
                 raise UnreachablePose(
                     f"the arm can't bring its cup straight to {place} [m]; accepted: lines within its reach and its limits, "
                     "away from singularities"
                 )
-            q = reached
+            q = after
             path.append(q)
         return np.array(path)
 
     def _newton(self, q: Array, T_world_flange: Array) -> Array | None:
         """Joint positions (6,) near q at which the flange is at a pose (4, 4); None where there are none."""
-        for _ in range(8):
-            frame, jacobian = self._arm.flange_motion(q)
-            R = frame[:3, :3]
-            turned = R.T @ T_world_flange[:3, :3]
-            # To first order the logarithm of the pose that is still missing.
-            rotation = (turned - turned.T)[[2, 0, 1], [1, 2, 0]] / 2
-            twist = np.concatenate([(T_world_flange[:3, 3] - frame[:3, 3]) @ R, rotation])
-            if np.max(np.abs(twist)) < RESIDUAL:
-                inside = np.all((q >= JOINT_LIMITS[:, 0]) & (q <= JOINT_LIMITS[:, 1]))
-                return q if inside else None
-            try:
-                step = np.linalg.solve(jacobian, twist)
-            except np.linalg.LinAlgError:
-                return None
-            if not np.max(np.abs(step)) < 2 * JUMP:
-                return None
-            q = q + step
-        return None
+        try:
+            q, found = reached(self._chain, q, T_world_flange, RESIDUAL, 2 * JUMP)
+        except np.linalg.LinAlgError:
+            return None
+        return q if found and np.all((q >= JOINT_LIMITS[:, 0]) & (q <= JOINT_LIMITS[:, 1])) else None
 
 
-def _line(start: RigidTransform, end: RigidTransform) -> RigidTransform:
-    """Poses (K) after `start` on the straight line to `end`."""
-    length = np.linalg.norm(end.translation - start.translation)
-    angle = (start.rotation.inv() * end.rotation).magnitude()
-    s = np.linspace(0, 1, int(np.ceil(max(length / SPACING, angle / TURN, 1))) + 1)[1:]
-    rotations = Slerp([0, 1], Rotation.concatenate([start.rotation, end.rotation]))(s)
-    centres = start.translation + s[:, None] * (end.translation - start.translation)
-    return RigidTransform.from_components(centres, rotations)
+_CUP, _FLANGE = T_FLANGE_CUP.as_matrix(), T_FLANGE_CUP.inv().as_matrix()

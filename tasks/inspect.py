@@ -104,13 +104,14 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
     def _begin(self) -> None:
         asked = inspect_truth(self.setup, self.actual).point
         self._query = self.camera.project(self.actual.inv().apply(asked))
+        self._shown_query = np.clip(self._query / self.camera.width, -1, 2).astype(np.float32)
         self._question = Question(self.camera, self.commanded, self._query)
         self._collision, self._scores = False, dict.fromkeys(_SCORES, float("nan"))
         self._near = Clearance(self.scene, SPHERE, smallest=0.0)
-        self._trace = [self.actual.translation.copy()]
+        self._trace = [self.T_actual[:3, 3].copy()]
 
     def _extra(self) -> Observation:
-        extra: Observation = {"query": np.clip(self._query / self.camera.width, -1, 2).astype(np.float32)}
+        extra: Observation = {"query": self._shown_query.copy()}
         if self.obs_mode != "rgb":
             rows = np.zeros(SLOTS, np.float32)
             order = slots(self.features)
@@ -126,10 +127,10 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         f = self.features
         return Tracked(f.position, f.normal, f.contour, f.views, f.best_radius, f.best_sigma)
 
-    def _judge(self, action: Array, before: RigidTransform) -> tuple[float, bool, bool]:
-        here = self.actual.translation
-        self._trace.append(here.copy())
-        self._near.take_in(between(before.translation, here))
+    def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
+        here = self.T_actual[:3, 3].copy()
+        self._trace.append(here)
+        self._near.take_in(between(before, here))
         self._collision = self._near.smallest < 0
         if self._collision:
             return 0.0, True, False
@@ -147,7 +148,7 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
 
     def _estimators(self) -> Answer:
         """The estimator's answer: what the features on the contour say."""
-        found = self._question.answer(self.commanded.translation, self._tracked())
+        found = self._question.answer(self.T_commanded[:3, 3], self._tracked())
         return found or Answer(0.5, UNSEEN, LARGEST / np.sqrt(12), self.commanded.apply([0.0, 0.0, 0.5]))
 
     def _metrics(self) -> dict[str, float]:

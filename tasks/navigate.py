@@ -94,9 +94,9 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
     def _begin(self) -> None:
         self._best = 0.0
         self._near = Clearance(self.scene, self.setup.radius)
-        self._near.take_in(self.actual.translation[None])
-        self._whole = float(np.linalg.norm(self.setup.goal - self.actual.translation))
-        self._trace = [self.actual.translation.copy()]
+        self._near.take_in(self._here[None])
+        self._whole = self._distance
+        self._trace = [self._here]
 
     def _observations(self) -> dict[str, gym.Space[Any]]:
         return super()._observations() | {"goal": gym.spaces.Box(-10.0, 10.0, (3,), np.float32)}
@@ -104,10 +104,9 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
     def _extra(self) -> Observation:
         return {"goal": self.setup.goal.astype(np.float32)}
 
-    def _judge(self, action: Array, before: RigidTransform) -> tuple[float, bool, bool]:
-        here = self.actual.translation
-        self._near.take_in(between(before.translation, here))
-        self._trace.append(here.copy())
+    def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
+        self._near.take_in(between(before, self._here))
+        self._trace.append(self._here)
         success = self._clearance > 0 and self._distance <= ARRIVED
         reward = 0.5 * self._progress() if self.reward_mode == "shaped" and self._clearance > 0 else 0.0
         arrived = (0.5 if self.reward_mode == "shaped" else 1.0) if success else 0.0
@@ -121,8 +120,12 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
         return gained
 
     @property
+    def _here(self) -> Array:
+        return self.T_actual[:3, 3].copy()
+
+    @property
     def _distance(self) -> float:
-        return math.dist(self.setup.goal, self.actual.translation)
+        return math.dist(self.setup.goal, self._here)
 
     @property
     def _clearance(self) -> float:
@@ -136,7 +139,7 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
             "smallest_clearance_mm": 1e3 * self._clearance,
             "violation_mm": 1e3 * max(setup.clearance - self._clearance, 0.0),
             "distance_mm": 1e3 * self._distance,
-            "spl": float(spl(done, length, shortest)),
+            "spl": float(spl(done, length, shortest)) if done else 0.0,
             "path_ratio": float(path_ratio(length, shortest)) if done else float("nan"),
             "regret": float(regret(length, shortest, self._whole)) if done else float("nan"),
         }
@@ -148,6 +151,6 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
         marks = [
             (np.array(self._trace), "path"),
             (self.setup.goal[None], "goal"),
-            (self.actual.translation[None], "camera"),
+            (self._here[None], "camera"),
         ]
         return fixating(eye[None], above)[0], marks

@@ -5,6 +5,7 @@ and radius are interpolated along it; the features' own errors are much alike, t
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array, Camera
 from extremal.tasks.answers import Answer, contact_from, probability_extremal
+from extremal.tasks.compiled import compiled
+from extremal.tasks.triples import plus, put, row, turned_back
 
 LEVEL, SIDE = (
     45.0,
@@ -23,6 +26,7 @@ REACH = 0.06  # [m] from the plane of the question, of features that are interpo
 BEYOND = 0.01  # [m] from the plane, within which features of one side alone are extrapolated
 LEAST_LOOKS = 5
 UNKNOWN = 1.0  # [m] sigma from which nothing is known
+NEAREST = 0.01  # [m] before the camera, of what it sees
 SLID = 0.03  # [m] sigma of R from which contacts are moved over the surface
 AHEAD = 0.55  # [m] of the fixation point from where the question is asked, about
 # what a circle leaves of a section, and a parabola of a contour: share of R, and [m]
@@ -69,17 +73,19 @@ class Question:
     def _in_first_view(self, seen: Tracked) -> tuple[Array, Array]:
         """Where the first view sees n features, from the pixel, (n, 2) [px], infinite where it doesn't; and unit vectors (n, 2)
         across their contours."""
-        if len(seen.position) == 0:
-            return np.zeros((0, 2)), np.zeros((0, 2))
-        known = np.where(seen.sigma < SLID, seen.radius, 0.0)
-        there = contact_from(self.first.translation, seen.position, seen.normal, known)
-        there = self.first.inv().apply(there)
-        ahead = ((there[:, 2] > 0.01) & (seen.looks >= LEAST_LOOKS))[:, None]
-        off = np.where(
-            ahead, self.camera.project(np.where(ahead, there, (0.0, 0.0, 1.0))) - self.query, np.inf
+        there, across = _seen_first(
+            self._pose,
+            np.ascontiguousarray(seen.position, float),
+            np.ascontiguousarray(seen.normal, float),
+            np.where(seen.sigma < SLID, seen.radius, 0.0),
+            seen.looks >= LEAST_LOOKS,
         )
-        across = (seen.normal @ self.first.rotation.as_matrix())[:, :2]
-        return off, across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
+        off = self.camera.project(there) - self.query
+        return np.where(np.isnan(off), np.inf, off), across
+
+    @cached_property
+    def _pose(self) -> Array:
+        return self.first.as_matrix()
 
     def plane(self, eye: Array) -> Array:
         """Unit normal (3,) of the plane of the question seen from `eye` (3,): through the fixation point, level across."""
@@ -101,7 +107,9 @@ class Question:
         R = float(weight @ (side * seen.radius[rows]))
         normal = np.sign(R or 1.0) * (weight @ (side[:, None] * seen.normal[rows]))
         in_plane = normal - (normal @ up) * up
-        place = contact_from(eye, (weight @ seen.position[rows])[None], in_plane[None], np.array([abs(R)]))[0]
+        place = contact_from(
+            tuple(eye.tolist()), (weight @ seen.position[rows])[None], in_plane[None], np.array([abs(R)])
+        )[0]
         spread = float(np.sqrt((np.abs(weight) @ seen.sigma[rows]) ** 2 + (ROUND * R) ** 2 + LEAST_SIGMA**2))
         return Answer(probability_extremal(abs(R), spread), abs(R), spread, place)
 
@@ -122,10 +130,32 @@ class Question:
         return same[turned <= ALONG * length]
 
 
+@compiled
+def _seen_first(
+    pose: Array, position: Array, normal: Array, radius: Array, enough: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Contact points (n, 3) [m] as a first view from `pose` (4, 4) has them, in the camera frame, NaN behind it and where there are
+    not `enough` looks (n,); and unit vectors (n, 2) across their contours."""
+    eye = (pose[0, 3], pose[1, 3], pose[2, 3])
+    there, across = contact_from(eye, position, normal, radius), np.empty((len(radius), 2))
+    for i in range(len(radius)):
+        put(there, i, turned_back(pose, plus(row(there, i), -1.0, eye)))
+        if not (there[i, 2] > NEAREST and enough[i]):
+            there[i, 2] = np.nan
+        x, y, _ = turned_back(pose, row(normal, i))
+        length = max((x * x + y * y) ** 0.5, 1e-9)
+        across[i, 0], across[i, 1] = x / length, y / length
+    return there, across
+
+
+@compiled
 def _apart(off: Array, across: Array) -> Array:
     """Distances (n,) [px] of the pixel from the contours; infinite from features too far along them."""
-    near = np.abs(off[:, 1]) < LEVEL
-    return np.where(near, np.abs(np.einsum("ni,ni->n", np.where(near[:, None], off, 0.0), across)), np.inf)
+    out = np.full(len(off), np.inf)
+    for i in range(len(off)):
+        if abs(off[i, 1]) < LEVEL:
+            out[i] = abs(off[i, 0] * across[i, 0] + off[i, 1] * across[i, 1])
+    return out
 
 
 def interpolating(height: Array) -> Array:

@@ -1,6 +1,6 @@
 """A sensor that looks: frames rendered by MuJoCo, through the real vision pipeline."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -17,6 +17,7 @@ from extremal.scenes import Scene
 from extremal.scenes.grids import MEASURED, QUICK
 from extremal.sim import FrameRenderer, Quality, Sensor, scene_model
 from extremal.sim.quality import get_quality
+from extremal.sim.window import cropped
 from extremal.tasks.edge_model import PREVIEW, EdgeModel
 from extremal.tasks.features import Features
 from extremal.tasks.section_tracks import LEAST_TILT, STEEPER, SectionTracks
@@ -37,7 +38,18 @@ APART = round(OVERLAP)  # edgels along a contour from which on errors are indepe
 NEAREST = 0.06  # [m] of depths: past an obstacle at the wanted clearance, tangents are as short
 MOST = 64  # tracks that are estimated, more or less
 
-_Look = tuple[View, Contours]  # its contours are found once for all sets of tracks
+AROUND = 48  # [px] about a track in which the frame is looked at: as far as neighbours help to judge an edge
+GRID = 16  # [px] to which parts of frames are rounded
+
+
+@dataclass(frozen=True, eq=False)
+class _Look:
+    """A view of the whole frame or of a part, at whose pixel `corner` (2,) it begins; its contours are found once for all sets."""
+
+    view: View
+    contours: Contours
+    corner: Array
+    whole: bool
 
 
 class RenderedSensor:
@@ -57,23 +69,35 @@ class RenderedSensor:
         edges, facets = (PREVIEW, QUICK) if coarse else (FINE, MEASURED)
         self._renderer = FrameRenderer(scene_model(scene.to_spec(facets)), camera, self._quality).__enter__()
         self._camera, self._seed, self._looks = camera, rng.integers(2**63, size=2), 0
-        self._sets = TrackSets(lambda: _Tracks(edges), self._spacing)
+        self._sets = TrackSets(lambda: self._new_tracks(edges), self._spacing)
         self._pose, self._frame = None, None
 
-    def look(
-        self, T_world_camera: RigidTransform, T_world_camera_believed: RigidTransform, pose_covariance: Array
-    ) -> Features:
+    def _new_tracks(self, edges: EdgeModel) -> "_Tracks":
+        self._newest = _Tracks(edges)
+        return self._newest
+
+    def look(self, T_world_camera: Array, T_world_camera_believed: Array, pose_covariance: Array) -> Features:
         """See `FeatureSensor`."""
         if self._sets is None:
             raise InvalidInput("a sensor looks at nothing before `reset`")
-        checked_pose(T_world_camera)
-        centre = checked_pose(T_world_camera_believed)[:3, 3]
-        self._pose, self._frame = T_world_camera, None
+        actual, believed = checked_pose(T_world_camera), checked_pose(T_world_camera_believed)
+        centre = believed[:3, 3]
+        self._pose, self._frame = RigidTransform(actual, normalize=False), None
         self._looks += 1
         if not self._sets.is_new(centre):
             return self._sets.features
-        view = View(self._camera, T_world_camera_believed, self._image(), pose_covariance)
-        return self._sets.take_in((view, find_contours(view.image, view.camera)), centre)
+        seen = self._seen(RigidTransform(believed, normalize=False), pose_covariance)
+        return self._sets.take_in(seen, centre)
+
+    def _seen(self, believed: RigidTransform, pose_covariance: Array) -> _Look:
+        """The frame; where no tracks have yet to start, only what is near to those that are followed."""
+        near = self._newest.expected(believed, self._camera) if self._newest.started else np.zeros((0, 2))
+        if not len(near) or self._sensor.vignetting > 0:  # about the middle of the whole frame
+            view = View(self._camera, believed, self._image(), pose_covariance)
+            return _Look(view, find_contours(view.image, view.camera), np.zeros(2), True)
+        part, corner = _part(self._camera, near)
+        view = View(part, believed, self._taken(part), pose_covariance)
+        return _Look(view, find_contours(view.image, part, _far_from(near - corner, part)), corner, False)
 
     @property
     def frame(self) -> NDArray[np.uint8] | None:
@@ -90,11 +114,15 @@ class RenderedSensor:
     def _image(self) -> NDArray[np.uint8]:
         """The image of the last look: the same whether and when it is asked for."""
         if self._frame is None:
-            if self._renderer is None or self._pose is None:
-                raise InvalidInput("a sensor looks at nothing before `reset`")
-            rng = np.random.default_rng([*self._seed, self._looks])
-            self._frame = self._sensor.read(self._renderer.render(self._pose), self._camera, rng)
+            self._frame = self._taken(self._camera)
         return self._frame
+
+    def _taken(self, camera: Camera) -> NDArray[np.uint8]:
+        """What the camera, or a part of it, takes in the last look."""
+        if self._renderer is None or self._pose is None:
+            raise InvalidInput("a sensor looks at nothing before `reset`")
+        rng = np.random.default_rng([*self._seed, self._looks])
+        return self._sensor.read(self._renderer.render(self._pose, part=camera), camera, rng)
 
 
 class _Tracks(SequentialShape):
@@ -109,13 +137,22 @@ class _Tracks(SequentialShape):
         self._root = PoseRoots()
 
     def take_in(self, look: _Look) -> None:
-        view, contours = look
-        if not self.started:
-            self._baseline = first_baseline(view.pose_covariance)
-            self.update(view, contours)
-            return
-        with _blas().limit(limits=1, user_api="blas"):
-            self._follow(view, contours)
+        if self.started:
+            with _blas().limit(limits=1, user_api="blas"):
+                self._pixels = self._pixels - look.corner
+                self._follow(look.view, look.contours)
+                self._pixels = self._pixels + look.corner
+        elif look.whole:  # what other tracks are near to is no place to look for new ones
+            self._baseline = first_baseline(look.view.pose_covariance)
+            self.update(look.view, look.contours)
+
+    def expected(self, T_world_camera: RigidTransform, camera: Camera) -> Array:
+        """Pixels (n, 2) of the camera's frame near which tracks should be seen from a pose."""
+        points, _ = self._circles.predict(T_world_camera.translation)
+        pixels = camera.project(T_world_camera.inv().apply(points))
+        size = (camera.width, camera.height)
+        with np.errstate(invalid="ignore"):
+            return pixels[np.all((pixels > -AROUND) & (pixels < np.add(size, AROUND)), axis=1)]
 
     def _begin(self) -> None:
         """From here on only the points that are estimated are followed."""
@@ -160,6 +197,24 @@ class _Tracks(SequentialShape):
 def _blas() -> ThreadpoolController:
     """To look for the libraries takes milliseconds: once a process."""
     return ThreadpoolController()
+
+
+def _part(camera: Camera, near: Array) -> tuple[Camera, Array]:
+    """The part of a camera that holds what is AROUND pixels (n, 2), and the pixel (2,) at its corner."""
+    size = np.array([camera.width, camera.height])
+    first = np.floor((near.min(axis=0) - AROUND) / GRID).astype(int) * GRID
+    last = np.ceil((near.max(axis=0) + AROUND) / GRID).astype(int) * GRID
+    first = np.clip(first, 0, size - 2 * GRID)
+    last = np.clip(last, first + 2 * GRID, size)
+    return cropped(camera, *map(int, (*first, *(last - first)))), first
+
+
+def _far_from(near: Array, camera: Camera) -> NDArray[np.bool_]:
+    """Pixels (height, width) that are not AROUND pixels (n, 2)."""
+    far = np.ones((camera.height, camera.width), bool)
+    for x, y in np.rint(near).astype(int):
+        far[max(y - AROUND, 0) : max(y + AROUND, 0), max(x - AROUND, 0) : max(x + AROUND, 0)] = False
+    return far
 
 
 def _thinned(contour: NDArray[np.integer]) -> NDArray[np.integer]:

@@ -11,15 +11,19 @@ import numpy as np
 from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs  # pyright: ignore[reportAttributeAccessIssue]
 
-from extremal.estimator.adjustment import LOOSE
+from extremal.estimator.adjustment import FAR, LOOSE
 from extremal.estimator.camera import Array
-from extremal.tasks.section_rows import Looks, SectionModel, Sums, Told, fitting_poses
+from extremal.estimator.slant import FAR as FAR_SLANT
+from extremal.tasks.section_arcs import widen
+from extremal.tasks.section_looks import Looks, Sums
+from extremal.tasks.section_rows import placed, tell
+from extremal.tasks.section_slant import smoothed
 from extremal.tasks.section_solution import Solution, Spread
 
 MOST_LOOKS = 120  # that are kept: of more, the one goes whose neighbours are nearest to each other
 EARLY = 12  # looks, before which none is an outlier
-FIRST_STEPS = 2  # from nothing known
-RECENT = 8  # looks that are linearised anew with every look
+FIRST_STEPS = 3  # from nothing known
+RECENT = 4  # looks that are linearised anew with every look
 MOVED = 0.002  # [m] by which half of the sections have moved when all looks are linearised anew,
 GROWTH = 1.25  # or factor on the number of looks
 SPREAD_GROWTH = 1.08  # factor on the number of looks, after which covariances are computed anew
@@ -32,6 +36,8 @@ class SectionSmoother:
 
     Attributes:
         fixed: (n,) sections that are believed to be fixed: where looks are linearised.
+        first, last: (n,) [rad] least and largest angle from N_0 in which sections were seen; infinite of none.
+        count: number of looks that were taken in.
     """
 
     def __init__(
@@ -47,18 +53,18 @@ class SectionSmoother:
         """
         n = len(origin)
         self.fixed = np.zeros(n, bool)
-        self._model = SectionModel(origin, frame, distance, systematic, turn, noisy_slant)
-        self._distance = distance
+        self._sections = tuple(np.ascontiguousarray(values, float) for values in (origin, frame, distance))
+        self._systematic, self._turn, self._noisy_slant = systematic, turn, noisy_slant
         # where little is known, a step may lead out of what the linear model means
         self._reach = np.stack([LOOSE * distance] * 2 + [np.full(n, LARGEST_RADIUS)], axis=1)
         # objects stand on tables, near where they were first seen
         prior = [np.full(n, ACROSS_PRIOR), DEPTH_PRIOR * distance, np.full(n, RADIUS_PRIOR)]
         self._prior = np.stack(prior, axis=1) ** -2.0
         self._theta = self._at = np.zeros((n, 3))  # now, and where looks were linearised
-        self._looks: list[Looks] = []
-        self._told: list[Told] = []  # of the first looks; the others wait
-        self._settled = self._sums = Sums.prior(self._prior)  # of all but the latest looks, and of all
+        self._looks, self._told = Looks(n), 0  # of the first looks is known what they say; the others wait
+        self._settled = Sums.prior(self._prior)  # of all but the latest looks
         self._settled_looks, self._repeats = 0, np.zeros(n)
+        self.first, self.last, self._views = np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n)
         self._due = self._spread_due = 0.0  # number of looks
         self._spread: Spread | None = None
         self.count = 0
@@ -67,88 +73,97 @@ class SectionSmoother:
         """Take in a look.
 
         Args:
-            believed: (4, 4) pose. root: (6, K) square root of its covariance, K the same in all looks.
+            believed: (4, 4) pose. root: (6, K) square root of its covariance.
             normals: (n, 3) unit normals of the tangent planes in the camera frame, on the side of N_0.
             sigma: (n,) [rad] of the planes' angles about the camera centre; infinite where unseen.
         """
-        self._looks.append(Looks.one(believed, root, normals, sigma))
+        self._looks.add(believed, root, normals, sigma)
+        widen(believed, normals, sigma, self._sections[1], self.first, self.last, self._views)
         self.count += 1
-        if len(self._looks) > MOST_LOOKS:
+        if self._looks.count > MOST_LOOKS:
             self._leave_one_out()
 
     def _leave_one_out(self) -> None:
-        centres = np.array([look.believed[0, :3, 3] for look in self._looks])
-        gap = np.linalg.norm(centres[2:] - centres[:-2], axis=1)
-        i = 1 + int(np.argmin(gap))
-        del self._looks[i]
+        i = self._looks.nearest()
+        out = self._looks.part(i, i + 1)
+        self._views -= np.isfinite(out.sigma[0])
         if i < self._settled_looks:
-            self._settled.add(self._told[i], -1.0)
+            self._settled.add(out, -1.0)
             self._settled_looks -= 1
-        del self._told[i : i + 1]
+        if i < self._told:
+            self._told -= 1
+        self._looks.leave_out(i)
 
     def solve(self) -> Solution:
         """Step from the last solution, and what is known of all sections. Without a new look, a further Gauss-Newton step."""
-        latest = len(self._looks) if self._model.noisy_slant else RECENT
-        if self._is_stale():
+        anew = self._is_stale()
+        if anew:
             self._due = min(GROWTH * self.count, EARLY) if self.count < EARLY else GROWTH * self.count
-            for _ in range(1 if self._told else FIRST_STEPS):
-                self._linearise(len(self._looks))
-                self._step()
+        if not self._told:
+            for _ in range(FIRST_STEPS - 1):
+                self._step(self._linearise(0))
+        if anew:
             self._spread = None
-        else:
-            self._linearise(latest)
-            self._step()
-        # a new look is weighed by how far it is from what is known with it, not from what was known before
-        self._linearise(latest)
-        theta = self._step()
-        if self._spread is None or self.count >= self._spread_due:
-            self._spread = self._found_spread()
-            self._spread_due = SPREAD_GROWTH * self.count
-        return Solution(theta, self._spread)
+        latest = self._looks.count if anew or self._noisy_slant else RECENT
+        return self._step(self._linearise(max(self._looks.count - latest, 0)))
 
     def _is_stale(self) -> bool:
-        if self._model.noisy_slant or self.count >= self._due or len(self._told) == len(self._looks):
+        if self.count >= self._due:
             return True
         moved = np.abs(self._theta - self._at).max(axis=1) > MOVED
         return bool(2 * np.count_nonzero(moved) > len(moved))
 
-    def _linearise(self, latest: int) -> None:
-        """Linearise the `latest` looks anew, those that wait among them: at what is known now."""
-        first = min(max(len(self._looks) - latest, 0), len(self._told))
-        looks, old = Looks.together(self._looks[first:]), self._told[first:]
-        if old:
-            looks.z[: len(old)] = fitting_poses(old, self._theta)
-        anew = first == 0
-        if anew:
-            self._at, self._repeats = self._theta, self._model.repeated(looks)
-        told = self._model.told(looks, self._theta, self._repeats, robust=self.count >= EARLY)
-        self._told[first:] = told.each()
-        settled = max(first, len(self._looks) - RECENT)
-        if anew:
-            self._settled = Sums.prior(self._prior)
-            self._settled.add(told.part(slice(settled)))
-        else:
-            for one in self._told[self._settled_looks : settled]:
-                self._settled.add(one)
+    def _linearise(self, first: int) -> Sums:
+        """Linearise looks from the first on, and those that wait, anew: at what is known now. The sum of all."""
+        robust = self.count >= EARLY
+        if 0 < self._told < self._looks.count and not self._noisy_slant:
+            # A new look is weighed by how far it is from what is known once its pose is fitted, not from where it is believed.
+            # Measured directions may be of other contours: a pose that fits them all would hide it.
+            self._tell(self._told, robust=False)
+            self._tell(self._told, robust)
+        first = min(first, self._told)
+        if first == 0:
+            self._at, self._repeats = self._theta, self._repeated()
+        self._tell(first, robust)
+        self._told = self._looks.count
+        settled = max(first, self._told - RECENT)
+        if first == 0:
+            self._settled, self._settled_looks = Sums.prior(self._prior), 0
+        self._settled.add(self._looks.part(self._settled_looks, settled))
         self._settled_looks = settled
-        self._sums = self._settled.copy()
-        self._sums.add(told.part(slice(settled - first, None)))
+        sums = self._settled.copy()
+        sums.add(self._looks.part(settled))
+        return sums
 
-    def _step(self) -> Array:
-        """Solve: theta (n, 3) where nothing is fixed."""
-        self._factor, failed = dpotrf(self._sums.matrix, lower=1)
+    def _tell(self, first: int, robust: bool) -> None:
+        """Let looks from the first on say what they do at what is known now."""
+        rows, theta, far = self._looks.part(first), self._theta, FAR if robust else np.inf
+        said = rows.loss, rows.pull, rows.inverse
+        z, poses, planes = placed(rows.believed, rows.root, rows.normals, theta, *said)
+        origin, frame, distance = self._sections
+        if self._noisy_slant and first == 0:
+            planes = smoothed(poses, planes, rows.sigma, theta, origin, frame, FAR_SLANT)
+        tell(
+            poses, z, planes, rows.root, rows.sigma, theta, origin, frame, distance, self._repeats, far,
+            rows.blocks, rows.loss, rows.right, rows.pull, rows.inverse,
+        )  # fmt: skip
+
+    def _repeated(self) -> Array:
+        """What is added to sigma (n,) [rad] in quadrature, for errors that repeat."""
+        arc = np.maximum(self.last - self.first, 0.0)
+        return self._systematic * np.sqrt(np.maximum(self._views / (1 + arc / self._turn), 1.0))
+
+    def _step(self, sums: Sums) -> Solution:
+        """Solve normal equations, which are lost."""
+        factor, failed = dpotrf(sums.matrix.T, lower=1, clean=0, overwrite_a=1)
         if failed:
             raise LinAlgError("the information on sections is not positive definite")
-        theta = dpotrs(self._factor, self._sums.right, lower=1)[0].reshape(-1, 3)
-        held = theta
-        if self.fixed.any():
-            spread = self._spread or self._found_spread()
-            held = Solution(theta, spread).held(self.fixed).theta
+        theta = dpotrs(factor, sums.right, lower=1)[0].reshape(-1, 3)
+        if self._spread is None or self.count >= self._spread_due:
+            covariance = dpotri(factor, lower=1, overwrite_c=1)[0].T
+            self._spread = Spread(covariance, sums.blocks, self._sections[2])
+            self._spread_due = SPREAD_GROWTH * self.count
+        solution = Solution(theta, self._spread)
+        held = solution.held_theta(self.fixed)
         self._theta = np.minimum(np.maximum(held, -self._reach), self._reach)
-        return theta
-
-    def _found_spread(self) -> Spread:
-        lower = dpotri(self._factor, lower=1)[0]  # the other triangle is zero
-        covariance = lower + lower.T
-        np.einsum("ii->i", covariance)[:] *= 0.5
-        return Spread(covariance, self._sums.blocks, self._distance)
+        return solution

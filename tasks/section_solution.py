@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 
 from extremal.estimator.adjustment import LOOSE
 from extremal.estimator.camera import Array
+from extremal.tasks.compiled import compiled
+from extremal.tasks.triples import crossed, dot, row
+
+LEAST_VOLUME = 1e-12  # of three unknowns' information, scaled to ones on the diagonal, that tells them apart
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +37,9 @@ class Spread:
     def __init__(self, covariance: Array, blocks: Array, distance: Array) -> None:
         """
         Args:
-            covariance: (3 n, 3 n). blocks: (n, 3, 3) of the information for known poses. distance: (n,) [m] of the camera.
+            covariance: (3 n, 3 n), the upper triangle; the other is written. blocks: (n, 3, 3) of the information for known poses. distance: (n,) [m] of the camera.
         """
+        _mirror(covariance)
         self.covariance, self._blocks, self._distance = covariance, blocks, distance
         self._known = _resolved(blocks)
         self._fixed, self._held = np.zeros(0, bool), None
@@ -51,9 +56,7 @@ class Spread:
         at = 3 * np.flatnonzero(fixed) + 2
         Q = np.linalg.inv(self.covariance[np.ix_(at, at)])
         gain = self.covariance[:, at] @ Q
-        n = len(fixed)
-        less = gain.reshape(n, 3, -1) @ self.covariance[:, at].reshape(n, 3, -1).swapaxes(1, 2)
-        each = diagonal_blocks(self.covariance) - less
+        each = _less(self.covariance, at, gain)
         information = np.diagonal(Q)
         variance = np.maximum(each[:, 2, 2], 0.0)
         variance[fixed] = 1 / information
@@ -111,12 +114,39 @@ class Solution:
         """The radii of sections `fixed` (n,) are zero."""
         if not fixed.any():
             return self.free
-        told = self.spread.held(fixed)
-        R = self.theta.ravel()[told.at]
-        theta = self.theta - (told.gain @ R).reshape(-1, 3)
+        told, theta = self.spread.held(fixed), self.held_theta(fixed)
         radius = theta[:, 2].copy()
-        radius[fixed] = told.others @ R
+        radius[fixed] = told.others @ self.theta.ravel()[told.at]
         return Sections(theta, told.covariance, radius, told.sigma, told.valid)
+
+    def held_theta(self, fixed: NDArray[np.bool_]) -> Array:
+        """theta (n, 3) where the radii of sections `fixed` (n,) are zero."""
+        if not fixed.any():
+            return self.theta
+        told = self.spread.held(fixed)
+        return self.theta - (told.gain @ self.theta.ravel()[told.at]).reshape(-1, 3)
+
+
+@compiled
+def _less(covariance: Array, at: NDArray[np.integer], gain: Array) -> Array:
+    """Blocks (n, 3, 3) on the diagonal of covariance - gain covariance[at], of unknowns where those at (k,) are known; gain (3 n, k)."""
+    n = len(covariance) // 3
+    each = np.empty((n, 3, 3))
+    for i in range(n):
+        for j in range(3):
+            for k in range(3):
+                each[i, j, k] = covariance[3 * i + j, 3 * i + k]
+                for m in range(len(at)):
+                    each[i, j, k] -= gain[3 * i + j, m] * covariance[at[m], 3 * i + k]
+    return each
+
+
+@compiled
+def _mirror(matrix: Array) -> None:
+    """Copy the upper triangle of a matrix into the lower one."""
+    for i in range(len(matrix)):
+        for j in range(i):
+            matrix[i, j] = matrix[j, i]
 
 
 def diagonal_blocks(matrix: Array) -> Array:
@@ -125,8 +155,13 @@ def diagonal_blocks(matrix: Array) -> Array:
     return np.einsum("iaib->iab", matrix.reshape(n, 3, n, 3))
 
 
+@compiled
 def _resolved(blocks: Array) -> NDArray[np.bool_]:
     """Whether information (n, 3, 3) determines all three unknowns better than the prior does."""
-    scale = np.sqrt(np.einsum("nii->ni", blocks))
-    unit = blocks / np.maximum(scale[:, :, None] * scale[:, None], 1e-300)
-    return (scale.min(axis=1, initial=np.inf) > 0) & (np.linalg.det(unit) > 1e-12)
+    found = np.zeros(len(blocks), np.bool_)
+    for i in range(len(blocks)):
+        block = blocks[i]
+        scale = block[0, 0] * block[1, 1] * block[2, 2]
+        volume = dot(row(block, 0), crossed(row(block, 1), row(block, 2)))
+        found[i] = scale > 0 and volume > LEAST_VOLUME * scale
+    return found

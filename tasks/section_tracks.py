@@ -5,6 +5,8 @@ of curvature cancels; at the arc's end, where tracks start, it is off by that ch
 the one half-way between the first and the last direction in which the section was seen.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from extremal.estimator.estimates import DRIFT
 from extremal.estimator.references import bootstrap
 from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features, Radii, labelled
+from extremal.tasks.section_arcs import crossing, middles
 from extremal.tasks.section_smoother import SectionSmoother
 from extremal.tasks.section_solution import Sections
 
@@ -47,12 +50,11 @@ class SectionTracks:
         self._smoother = SectionSmoother(
             origin, frame, distance, edges.bias_px / focal, edges.bias_turn, noisy_slant
         )
-        self._origin, self._frame, self._contour = origin, frame, contour
+        self._origin, self._frame, self._contour = origin, np.ascontiguousarray(frame), contour
         self._drift = DRIFT * distance / focal
         self._looks, self._due = 0, float(FIRST_BOOTSTRAP)
         n = len(origin)
         self._normals = np.zeros((32, n, 3))  # of every look, in the world; zero where unseen
-        self._first, self._last = np.full(n, np.inf), np.full(n, -np.inf)
         self._views, self.visible = np.zeros(n, int), np.zeros(n, bool)
 
     def take_in(self, believed: Array, root: Array, normals: Array, sigma: Array) -> NDArray[np.bool_]:
@@ -60,16 +62,11 @@ class SectionTracks:
 
         Planes that hardly cross those of their sections are left out.
         """
-        there = normals @ believed[:3, :3].T
-        a, b, up = (self._frame @ there[..., None])[..., 0].T
-        seen = np.isfinite(sigma) & (up * up < 1 - LEAST_TILT**2)
-        self._smoother.update(believed, root, normals, np.where(seen, sigma, np.inf))
-        phi = np.arctan2(b, a)
-        self._first = np.where(seen, np.minimum(self._first, phi), self._first)
-        self._last = np.where(seen, np.maximum(self._last, phi), self._last)
         if self._looks == len(self._normals):
             self._normals = np.concatenate([self._normals, np.zeros_like(self._normals)])
-        self._normals[self._looks] = np.where(seen[:, None], there, 0.0)
+        there = self._normals[self._looks]
+        seen = crossing(believed, normals, sigma, self._frame, LEAST_TILT, there)
+        self._smoother.update(believed, root, normals, np.where(seen, sigma, np.inf))
         self._views += seen
         self.visible = seen
         self._looks += 1
@@ -77,13 +74,8 @@ class SectionTracks:
 
     def features(self, pixels: Array) -> Features:
         """What is known now; pixels (n, 2) where tracks were last seen."""
-        n = len(self._origin)
-        if n == 0:
+        if len(self._origin) == 0:
             return Features.empty()
-        phi = np.zeros(n)
-        np.add(self._first, self._last, out=phi, where=self._views > 0)
-        phi *= 0.5
-        arc = _Arc(self._origin, self._frame, phi)
         solution = self._smoother.solve()
         free = solution.free
         if self._looks >= self._due:
@@ -96,11 +88,17 @@ class SectionTracks:
         if fixed.any():
             held = solution.held(fixed)
             ratio = _birge_ratio(held, fixed)
+        best, first, last = held or free, self._smoother.first, self._smoother.last
+        position, covariance, normal = middles(
+            self._origin, self._frame, first, last, self._normals[: self._looks],
+            best.theta, best.covariance, best.valid, ratio,
+        )  # fmt: skip
         return labelled(
             self._radii(free, 1.0),
             None if held is None else self._radii(held, ratio),
-            *arc.contacts(held or free, ratio),
-            self._normal(arc),
+            position,
+            covariance,
+            normal,
             self._frame[:, 2],
             fixed.copy(),
             self._contour,
@@ -112,41 +110,15 @@ class SectionTracks:
     def _radii(self, found: Sections, ratio: float) -> Radii:
         return Radii(found.radius, np.hypot(ratio * found.sigma, self._drift))
 
-    def _normal(self, arc: "_Arc") -> Array:
-        """Surface normals (n, 3) where those in the sections point at phi: slanted as in the look that comes nearest."""
-        seen, up = self._normals[: self._looks], self._frame[:, 2]
-        nearest = np.argmax(np.vecdot(seen, arc.normal), axis=0)
-        normal = seen[nearest, np.arange(len(up))]
-        a, b = np.vecdot(normal, arc.normal), np.vecdot(normal, up)
-        scale = np.maximum(np.sqrt(a * a + b * b), 1e-12)
-        return np.where(a == 0, 1.0, a / scale)[:, None] * arc.normal + (b / scale)[:, None] * up
-
-
-class _Arc:
-    """Where contact points are told of: normals (n, 3) in the sections' planes, turned by phi (n,) from N_0."""
-
-    def __init__(self, origin: Array, frame: Array, phi: Array) -> None:
-        self._origin = origin
-        cos, sin = np.cos(phi)[:, None], np.sin(phi)[:, None]
-        N, T = frame[:, 0], frame[:, 1]
-        self.normal = cos * N + sin * T
-        self._J = np.stack([N, T, self.normal - N], axis=1)  # of a contact point by s, q, R
-
-    def contacts(self, found: Sections, ratio: float) -> tuple[Array, Array]:
-        """Contact points (n, 3) o + s N_0 + q T_0 + R (N(phi) - N_0) and covariances (n, 3, 3), sigma being `ratio` times as large."""
-        J = self._J
-        spread = np.where(found.valid[:, None, None], found.covariance, 0.0)
-        covariance = J.swapaxes(1, 2) @ (ratio**2 * spread) @ J
-        covariance[~found.valid] = np.inf
-        return self._origin + (found.theta[:, None] @ J)[:, 0], covariance
-
 
 def _birge_ratio(found: Sections, fixed: NDArray[np.bool_]) -> float:
     """How much larger than sigma the radii of references are, which should be 0; at least 1 (Birge, Phys. Rev. 40, 207, 1932).
 
     What a circle leaves of a section, and errors of edges that views share, are not all in sigma.
     """
-    z = (found.radius / found.sigma)[fixed & found.valid]
-    if len(z) < LEAST_REFERENCES:
+    chi2 = np.sort((found.radius / found.sigma)[fixed & found.valid] ** 2)
+    count = len(chi2)
+    if count < LEAST_REFERENCES:
         return 1.0
-    return float(np.sqrt(max(1.0, np.median(z**2) / MEDIAN_CHI2)))
+    median = 0.5 * (chi2[(count - 1) // 2] + chi2[count // 2])  # several times as fast as numpy's
+    return math.sqrt(max(1.0, median / MEDIAN_CHI2))

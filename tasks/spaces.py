@@ -1,17 +1,26 @@
 """What environments observe and how a camera is moved: arrays of fixed size, and back."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import RigidTransform, Rotation
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
+from extremal.tasks.compiled import compiled
 from extremal.tasks.features import Features
+from extremal.tasks.rigid import (
+    exponential,
+    inverse,
+    orthonormal,
+    product,
+    quaternion,
+    reduced,
+    rotation_vector,
+)
+from extremal.tasks.triples import Vector, plus, times
 
 SLOTS = 48  # features that an observation holds: the visible ones first, then those seen most often
 COLUMNS = (
@@ -52,20 +61,47 @@ def slots(features: Features) -> NDArray[np.integer]:
 
 def feature_rows(features: Features) -> NDArray[np.float32]:
     """Features as an observation; rows that are left over are zero: no looks."""
-    f, order = features, slots(features)
-    rows = np.zeros((SLOTS, len(COLUMNS)), np.float32)
-    if not len(order):
-        return rows
-    along = ((f.normal[:, None] @ np.minimum(f.covariance, UNKNOWN**2))[:, 0] * f.normal).sum(axis=1)
-    values = np.empty((len(f), len(COLUMNS)))
-    values[:, 0], values[:, 2] = f.radius, f.relative_radius
-    values[:, 1], values[:, 3], values[:, 7] = f.sigma_radius, f.sigma_relative, np.sqrt(np.maximum(along, 0))
-    values[:, 4:7], values[:, 8:11] = f.position, f.normal
-    values[:, 11], values[:, 12], values[:, 13] = f.extremal, f.reference, f.visible
-    values[:, 14], values[:, 15] = f.contour, f.views
-    np.copyto(values, 0.0, where=np.isnan(values))  # no relative radius
-    rows[: len(order)] = np.minimum(np.maximum(values[order], _LOW), _HIGH)
+    f, rows = features, np.zeros((SLOTS, len(COLUMNS)), np.float32)
+    _fill(
+        rows, slots(f), f.radius, f.sigma_radius, f.relative_radius, f.sigma_relative, f.position, f.covariance, f.normal,
+        f.extremal, f.reference, f.visible, f.contour, f.views, _LOW, _HIGH,
+    )  # fmt: skip
     return rows
+
+
+@compiled
+def _fill(
+    rows: NDArray[np.float32],
+    order: NDArray[np.integer],
+    radius: Array,
+    sigma: Array,
+    relative: Array,
+    sigma_relative: Array,
+    position: Array,
+    covariance: Array,
+    normal: Array,
+    extremal: NDArray[np.bool_],
+    reference: NDArray[np.bool_],
+    visible: NDArray[np.bool_],
+    contour: NDArray[np.integer],
+    views: NDArray[np.integer],
+    low: Array,
+    high: Array,
+) -> None:
+    """Features, in an order, become rows of COLUMNS from `low` to `high`; NaN, where there is no relative radius, becomes 0."""
+    for j in range(len(order)):
+        i = order[j]
+        along = 0.0
+        for a in range(3):
+            for b in range(3):
+                along += normal[i, a] * min(covariance[i, a, b], UNKNOWN**2) * normal[i, b]
+        values = (
+            radius[i], sigma[i], relative[i], sigma_relative[i], position[i, 0], position[i, 1], position[i, 2],
+            max(along, 0.0) ** 0.5, normal[i, 0], normal[i, 1], normal[i, 2], 1.0 * extremal[i], 1.0 * reference[i],
+            1.0 * visible[i], 1.0 * contour[i], 1.0 * views[i],
+        )  # fmt: skip
+        for c in range(len(values)):
+            rows[j, c] = 0.0 if np.isnan(values[c]) else min(max(values[c], low[c]), high[c])
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,48 +150,33 @@ def checked_action(action: Any, space: gym.spaces.Box) -> Array:
     return np.minimum(np.maximum(values, space.low), space.high)
 
 
-def moved(pose: RigidTransform, action: Array, mode: str) -> RigidTransform:
-    """Where a step takes a commanded camera pose: at most DT SPEED and DT TURN away.
+def moved(pose: Array, action: Array, mode: str) -> Array:
+    """Where a step takes a commanded camera pose (4, 4): at most DT SPEED and DT TURN away.
 
     "velocity": (linear in the world, angular in the camera frame) in shares of the largest; "pose": towards (position [m],
     rotation vector [rad]) of T_world_camera, both at their largest speed.
     """
-    at, turn = pose.as_matrix(), action[3:]
-    if mode == "velocity":
-        way, turn = DT * SPEED * action[:3], DT * TURN * turn
+    x, y, z, a, b, c = action.tolist()
+    return _stepped(pose, (x, y, z), (a, b, c), mode == "velocity")
+
+
+@compiled
+def _stepped(pose: Array, way: Vector, turn: Vector, is_velocity: bool) -> Array:
+    if is_velocity:
+        way, turn = times(DT * SPEED, way), times(DT * TURN, turn)
     else:
-        way = action[:3] - at[:3, 3]
-        turn = (pose.rotation.inv() * Rotation.from_rotvec(turn)).as_rotvec()
-        turn = turn * _share(turn, DT * TURN)
-    turned = at[:3, :3] @ Rotation.from_rotvec(turn).as_matrix()
-    after = np.eye(4)
-    after[:3, :3] = turned @ (
-        1.5 * np.eye(3) - 0.5 * (turned.T @ turned)
-    )  # orthonormal to rounding after any number of steps
-    after[:3, 3] = at[:3, 3] + way * _share(way, DT * SPEED)
-    return RigidTransform(after, normalize=False, copy=False)
+        goal = exponential((0.0, 0.0, 0.0), turn)
+        way = plus(way, -1.0, (pose[0, 3], pose[1, 3], pose[2, 3]))
+        back = inverse(pose)
+        turn = reduced(rotation_vector(product(back, goal)), DT * TURN)
+    way = reduced(way, DT * SPEED)
+    after = product(pose, exponential((0.0, 0.0, 0.0), turn))
+    for i in range(3):
+        after[i, 3] = pose[i, 3] + way[i]
+    orthonormal(after)  # after any number of steps
+    return after
 
 
-def pose_values(pose: RigidTransform) -> NDArray[np.float32]:
-    """(7,) position [m] and unit quaternion x, y, z, w, w >= 0."""
-    matrix = pose.as_matrix()
-    return np.concatenate([matrix[:3, 3], _quaternion(matrix.tolist())]).astype(np.float32)
-
-
-def _quaternion(m: list[list[float]]) -> list[float]:
-    """x, y, z, w of a rotation (3, 3), by its largest component (Shepperd, J. Guidance and Control 1, 1978)."""
-    (a, b, c, *_), (d, e, f, *_), (g, h, i, *_) = m[:3]
-    squares = (1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i)
-    rows = (
-        (squares[0], b + d, c + g, h - f),
-        (b + d, squares[1], f + h, c - g),
-        (c + g, f + h, squares[2], d - b),
-        (h - f, c - g, d - b, squares[3]),
-    )
-    largest = max(range(4), key=squares.__getitem__)
-    scale = math.copysign(0.5 / math.sqrt(squares[largest]), rows[largest][3])
-    return [scale * value for value in rows[largest]]
-
-
-def _share(step: Array, longest: float) -> float:
-    return min(1.0, longest / max(math.sqrt(step @ step), 1e-12))
+def pose_values(pose: Array) -> NDArray[np.float32]:
+    """(7,) position [m] and unit quaternion x, y, z, w, w >= 0, of a pose (4, 4)."""
+    return np.array([*pose[:3, 3].tolist(), *quaternion(pose)], np.float32)

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
 from extremal.estimator.epipolar import LEAST_CERTAINTY
@@ -109,11 +108,11 @@ def travel_of(centres: Array) -> Array:
     return along if (centres[-1] - centres[0]) @ along > 0 else -along
 
 
-def checked_pose(pose: RigidTransform) -> Array:
-    """A pose as a matrix (4, 4); InvalidInput if it is not one, or not finite."""
-    matrix = pose.as_matrix()
-    if matrix.shape != (4, 4) or not np.all(np.isfinite(matrix)):
-        raise InvalidInput(f"a pose of shape {matrix.shape[:-2]} given; accepted: one finite transform")
+def checked_pose(pose: Array) -> Array:
+    """The pose (4, 4); InvalidInput if it is none, or not finite."""
+    matrix = np.asarray(pose, float)
+    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+        raise InvalidInput(f"a pose of shape {matrix.shape} given; accepted: one finite transform (4, 4)")
     return matrix
 
 

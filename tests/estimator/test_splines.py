@@ -18,8 +18,8 @@ def through(chains: list[Array], weights: Array | None = None) -> tuple[Splines,
     most = np.maximum(np.bincount(contour) - 3, 1)
     t = knots(u, contour, breaks, np.full(len(u), SPACING), most, WIDEST)
     weights = np.ones(len(u)) if weights is None else weights
-    splines, variance = fit(u, positions, weights, t, breaks, u)
-    return splines, u, contour, variance
+    found = fit(u, positions, weights, t, breaks)
+    return found.splines, u, contour, found.variance()
 
 
 def circle(radius: float, turn: float = 5.0, step: float = 2.0) -> Array:
@@ -67,14 +67,15 @@ def test_variance_by_monte_carlo(points: Array) -> None:
     contour = np.zeros(len(points), int)
     u, breaks = arc_length(points, contour)
     t = knots(u, contour, breaks, np.full(len(u), SPACING), np.array([len(u)]), WIDEST)
-    exact, variance = fit(u, points, 1 / sigma, t, breaks, u)
+    found = fit(u, points, 1 / sigma, t, breaks)
+    exact, variance = found.splines, found.variance()
     _, _, normal, _ = exact.frame(u)
     error = np.empty((trials, len(u)))
     for k in range(trials):
         noisy = points + (sigma * rng.normal(size=len(u)))[:, None] * normal
-        splines, stated = fit(u, noisy, 1 / sigma, t, breaks, u)
-        np.testing.assert_array_equal(stated, variance)
-        error[k] = np.sum((splines.curve(u) - exact.curve(u)) * normal, axis=1)
+        again = fit(u, noisy, 1 / sigma, t, breaks)
+        np.testing.assert_array_equal(again.variance(), variance)
+        error[k] = np.sum((again.splines.curve(u) - exact.curve(u)) * normal, axis=1)
     ratio = np.mean(error**2, axis=0) / variance
     # standard error of a variance from n samples: sqrt(2 / n); normals turn by little within a basis function's support
     assert np.abs(ratio - 1).max() < 5 * np.sqrt(2 / trials) + 0.05
@@ -91,7 +92,7 @@ def test_a_contour_does_not_see_the_others_data() -> None:
     t = knots(u, contour, breaks, np.full(len(u), SPACING), np.bincount(contour), WIDEST)
     weights = rng.uniform(20, 100, len(u))
     moved = positions + np.where(contour == 1, 30.0, 0.0)[:, None] * rng.normal(size=positions.shape)
-    before, after = (fit(u, p, weights, t, breaks, u)[0].curve(u) for p in (positions, moved))
+    before, after = (fit(u, p, weights, t, breaks).splines.curve(u) for p in (positions, moved))
     others = contour != 1
     np.testing.assert_allclose(after[others], before[others], atol=1e-9)
     assert np.abs(after[~others] - before[~others]).max() > 1

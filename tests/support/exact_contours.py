@@ -52,10 +52,12 @@ def exact_contours(surface: Surface, view: View, rng: np.random.Generator | None
     t = knots(u, contour, breaks, np.full(len(u), KNOTS), np.bincount(contour) - 3, 1.5 * ROWS)
     measured = positions if rng is None else positions + SIGMA * rng.standard_normal(positions.shape)
     weights = np.full(len(u), 1 / SIGMA)
-    splines, variance = fit(u, measured, weights, t, breaks, u)
-    at, _, normals, bend = splines.frame(u)
-    sigma, ones = np.sqrt(variance), np.ones(len(u))
-    return Contours(splines, u, contour, at, normals, bend, sigma, SIGMA * ones, 100 * ones, 0 * ones, 1.0)
+    found = fit(u, measured, weights, t, breaks)
+    at, _, normals, bend = found.splines.frame(u)
+    sigma, ones = np.sqrt(found.variance()), np.ones(len(u))
+    return Contours(
+        found.splines, u, contour, at, normals, bend, sigma, SIGMA * ones, 100 * ones, 0 * ones, 1.0
+    )
 
 
 def _edgels(surface: Surface, view: View, points: Array) -> Array:

@@ -20,7 +20,8 @@ def robot(bias: str, scatter: str, seed: int = 0) -> CarriedCamera:
 
 def errors(camera: CarriedCamera, looks: int) -> np.ndarray:
     rng = np.random.default_rng(5)
-    return np.array([pose_log(START.inv() * camera.actual(START, rng)) for _ in range(looks)])
+    actual = np.array([camera.actual(START.as_matrix(), rng) for _ in range(looks)])
+    return pose_log(START.inv() * RigidTransform.from_matrix(actual))
 
 
 def test_an_ideal_robot_goes_where_it_is_told() -> None:

@@ -38,7 +38,7 @@ def told(
     sensor.reset(scene, CAMERA, rng)
     features = Features.empty()
     for i in range(views):
-        features = sensor.look(poses[i], believed[i], pose**2 * np.eye(6))
+        features = sensor.look(poses[i].as_matrix(), believed[i].as_matrix(), pose**2 * np.eye(6))
     return features
 
 
@@ -94,13 +94,13 @@ def test_same_seed_same_bytes() -> None:
 def test_before_there_are_enough_looks() -> None:
     scene, sensor = vase_and_box(1), GeometricSensor()
     with pytest.raises(InvalidInput, match="before `reset`"):
-        sensor.look(RigidTransform.identity(), RigidTransform.identity(), np.zeros((6, 6)))
+        sensor.look(np.eye(4), np.eye(4), np.zeros((6, 6)))
     assert len(told(scene, 1, 0.0, sensor, views=3)) == 0
     assert sensor.frame is None
     pose = MOTION.poses(scene.target, np.random.default_rng(0))[0]
     sensor.reset(scene, CAMERA, np.random.default_rng(0))
     for _ in range(9):
-        assert len(sensor.look(pose, pose, np.zeros((6, 6)))) == 0  # no motion
+        assert len(sensor.look(pose.as_matrix(), pose.as_matrix(), np.zeros((6, 6)))) == 0  # no motion
     sensor.close()
 
 
@@ -109,7 +109,7 @@ def test_nothing_in_sight() -> None:
     poses = MOTION.poses((3.0, 0.0, 0.5), np.random.default_rng(0))
     sensor.reset(scene, CAMERA, np.random.default_rng(0))
     for i in range(12):
-        assert len(sensor.look(poses[i], poses[i], np.zeros((6, 6)))) == 0
+        assert len(sensor.look(poses[i].as_matrix(), poses[i].as_matrix(), np.zeros((6, 6)))) == 0
 
 
 def test_a_mesh_is_refused() -> None:

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator import Camera, InvalidInput
 from extremal.estimator.camera import Array
@@ -26,7 +25,7 @@ def told(sensor: FeatureSensor, scene: Scene, camera: Camera, seed: int, pose: f
     sensor.reset(scene, camera, rng)
     features = Features.empty()
     for i in range(views):
-        features = sensor.look(poses[i], believed[i], pose**2 * np.eye(6))
+        features = sensor.look(poses[i].as_matrix(), believed[i].as_matrix(), pose**2 * np.eye(6))
     return features
 
 
@@ -55,7 +54,7 @@ def test_frames_do_not_depend_on_when_they_are_asked_for() -> None:
         assert sensor.frame is None
         seen = []
         for i in (0, 0, 1):
-            sensor.look(poses[i], poses[i], np.zeros((6, 6)))
+            sensor.look(poses[i].as_matrix(), poses[i].as_matrix(), np.zeros((6, 6)))
             if asked or i == 1:
                 assert sensor.frame is not None
                 seen.append(sensor.frame)
@@ -68,12 +67,12 @@ def test_frames_do_not_depend_on_when_they_are_asked_for() -> None:
 def test_few_looks_and_no_looks() -> None:
     sensor = RenderedSensor()
     with pytest.raises(InvalidInput, match="before `reset`"):
-        sensor.look(RigidTransform.identity(), RigidTransform.identity(), np.zeros((6, 6)))
+        sensor.look(np.eye(4), np.eye(4), np.zeros((6, 6)))
     scene = load_scene("sphere")
     assert len(told(sensor, scene, SMALL, 0, 1e-3, 3)) == 0
     pose = MOTION.poses(scene.target, np.random.default_rng(0))[0]
     for _ in range(7):
-        assert len(sensor.look(pose, pose, 1e-6 * np.eye(6))) == 0
+        assert len(sensor.look(pose.as_matrix(), pose.as_matrix(), 1e-6 * np.eye(6))) == 0
     sensor.close()
     sensor.close()
     assert sensor.frame is None

@@ -1,0 +1,111 @@
+"""Looks at sections as they are kept, and their sum as normal equations."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg.blas import dsyrk  # pyright: ignore[reportAttributeAccessIssue]
+
+from extremal.estimator.camera import Array
+from extremal.tasks.compiled import compiled
+
+ROUNDING = 1e-7  # of its information that a section is given besides, so that rounding leaves it positive
+ROOM = 32  # looks
+
+
+class Rows(NamedTuple):
+    """V looks at n sections and what they say, as `section_rows` names it; all zero where they were not linearised yet."""
+
+    believed: Array
+    root: Array
+    normals: Array
+    sigma: Array
+    blocks: Array
+    loss: Array
+    right: Array
+    pull: Array
+    inverse: Array
+
+    @staticmethod
+    def zeros(looks: int, n: int) -> "Rows":
+        tails = (4, 4), (6, 6), (n, 3), (n,), (n, 3, 3), (6, 3 * n), (3 * n,), (6,), (6, 6)
+        return Rows(*(np.zeros((looks, *tail)) for tail in tails))
+
+    def part(self, first: int, last: int) -> "Rows":
+        """Some of the looks: views."""
+        return Rows(*(values[first:last] for values in self))
+
+
+class Looks:
+    """`count` looks, the oldest first."""
+
+    def __init__(self, sections: int) -> None:
+        self._rows = Rows.zeros(ROOM, sections)
+        self.count = 0
+
+    def add(self, believed: Array, root: Array, normals: Array, sigma: Array) -> None:
+        """A look, as `SectionSmoother.update` describes it."""
+        rows, i = self._rows, self.count
+        if i == len(rows.sigma):
+            self._rows = rows = Rows(*(np.concatenate([values, np.zeros_like(values)]) for values in rows))
+        rows.believed[i], rows.normals[i], rows.sigma[i] = believed, normals, sigma
+        rows.root[i, :, : root.shape[1]] = root
+        self.count += 1
+
+    def part(self, first: int, last: int | None = None) -> Rows:
+        """The looks from the first to before the last, or to the end: views."""
+        return self._rows.part(first, self.count if last is None else last)
+
+    def leave_out(self, i: int) -> None:
+        """Forget look i."""
+        for values in self._rows:
+            values[i : self.count - 1] = values[i + 1 : self.count]
+            values[self.count - 1] = 0.0
+        self.count -= 1
+
+    def nearest(self) -> int:
+        """The look, neither first nor last, whose neighbours are nearest to each other."""
+        centres = self._rows.believed[: self.count, :3, 3]
+        return 1 + int(np.argmin(np.linalg.norm(centres[2:] - centres[:-2], axis=1)))
+
+
+class Sums:
+    """Normal equations of n sections.
+
+    Attributes:
+        matrix: (3 n, 3 n), the upper triangle. right: (3 n,).
+        blocks: (n, 3, 3) of the information for known poses.
+    """
+
+    def __init__(self, matrix: Array, right: Array, blocks: Array) -> None:
+        self.matrix, self.right, self.blocks = matrix, right, blocks
+
+    @staticmethod
+    def prior(information: Array) -> "Sums":
+        """Of no look: information (n, 3) on s, q, R."""
+        n = len(information)
+        return Sums(np.diag(information.ravel()), np.zeros(3 * n), np.zeros((n, 3, 3)))
+
+    def copy(self) -> "Sums":
+        return Sums(self.matrix.copy(), self.right.copy(), self.blocks.copy())
+
+    def add(self, rows: Rows, sign: float = 1.0) -> None:
+        """Add what looks say, or take it away."""
+        loss = rows.loss.reshape(-1, len(self.right))
+        if len(loss):
+            # LAPACK counts along columns: its lower triangle is the upper one here
+            dsyrk(-sign, loss.T, beta=1.0, c=self.matrix.T, lower=1, overwrite_c=1)
+            _add(rows.blocks, rows.right, sign, self.matrix, self.right, self.blocks)
+
+
+@compiled
+def _add(blocks: Array, right: Array, sign: float, matrix: Array, total: Array, each: Array) -> None:
+    """Add sign times what V looks say but for the loss of information, blocks (V, n, 3, 3) and right (V, 3 n), to what `Sums` holds."""
+    looks, n = blocks.shape[:2]
+    for v in range(looks):
+        for i in range(n):
+            for j in range(3):
+                total[3 * i + j] += sign * right[v, 3 * i + j]
+                for k in range(3):
+                    each[i, j, k] += sign * blocks[v, i, j, k]
+                    rounded = 1 + ROUNDING if j == k else 1.0
+                    matrix[3 * i + j, 3 * i + k] += sign * rounded * blocks[v, i, j, k]

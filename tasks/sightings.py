@@ -1,0 +1,93 @@
+"""What a camera that is not quite where it is believed to be sees of contact points: compiled loops over n tracks.
+
+Poses are matrices T_world_camera (4, 4).
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from extremal.estimator.camera import Array
+from extremal.tasks.compiled import compiled
+from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, times, turned, turned_back, unit
+
+LEAST_SLOPE = 1e-9  # [1/px]
+
+
+@compiled
+def centre_of(pose: Array) -> Vector:
+    """Camera centre [m]."""
+    return pose[0, 3], pose[1, 3], pose[2, 3]
+
+
+@compiled
+def believed_planes(plane: Array, start: Array, points: Array, actual: Array, believed: Array) -> Array:
+    """Normals (n, 3) of the epipolar planes, of normals `plane` (n, 3) through `start` (3,), as the robot believes them to lie: off the
+    planes of a camera that left its line by a height, where a point at the contact's distance would lie in them.
+
+        e = R_actual R_believed' e_0 + (e_0 . (v_believed - v_0) / |d|^2) d,    d = r - v_actual
+    """
+    out = np.empty(plane.shape)
+    off = plus(centre_of(believed), -1.0, (start[0], start[1], start[2]))
+    for i in range(len(plane)):
+        e = row(plane, i)
+        d = plus(row(points, i), -1.0, centre_of(actual))
+        there = turned(actual, turned_back(believed, e))
+        put(out, i, plus(there, dot(e, off) / dot(d, d), d))
+    return out
+
+
+@compiled
+def in_camera(points: Array, actual: Array, believed: Array) -> tuple[Array, Vector]:
+    """Points (n, 3) in the camera frame [m], and the middle of the rays to them in the world as believed, a unit vector."""
+    out, middle = np.empty(points.shape), (0.0, 0.0, 0.0)
+    for i in range(len(points)):
+        p = turned_back(actual, plus(row(points, i), -1.0, centre_of(actual)))
+        put(out, i, p)
+        middle = plus(middle, 1.0, unit(p))
+    return out, unit(turned(believed, middle))
+
+
+@compiled
+def tangent_planes(
+    away: Array,
+    normals: Array,
+    plane: Array,
+    travel: Array,
+    actual: Array,
+    believed: Array,
+    focal: tuple[float, float],
+    error: Array,
+) -> tuple[Array, Array, Array]:
+    """Tangent planes of edges that are seen off by `error` (n,) [px], in the camera frame.
+
+    Args:
+        away: (n, 3) contact points in the camera frame [m]. normals: (n, 3) of the surface there, in the world.
+        plane: (n, 3), travel: (3,) epipolar planes and the camera's motion as believed.
+        focal: [px].
+
+    Returns:
+        Normals (n, 3), to the side that looks along the travel; radians per pixel of error (n,), 0 or less behind the camera;
+        and by how much the error moves the edge in the image (n, 2) [px].
+    """
+    out, per_px, shift = np.empty(away.shape), np.empty(len(away)), np.empty((len(away), 2))
+    forwards = turned_back(believed, (travel[0], travel[1], travel[2]))
+    for i in range(len(away)):
+        ray, n = unit(row(away, i)), turned_back(actual, row(normals, i))
+        across = crossed(ray, turned_back(believed, row(plane, i)))
+        if dot(across, forwards) * dot(n, across) < 0:
+            n = times(-1.0, n)
+        x, y = n[0] / focal[0], n[1] / focal[1]
+        slope = max((x * x + y * y) ** 0.5, LEAST_SLOPE)
+        per_px[i] = slope * ray[2]
+        put(out, i, unit(plus(n, error[i] * per_px[i], ray)))
+        shift[i, 0], shift[i, 1] = -error[i] / slope * x, -error[i] / slope * y
+    return out, per_px, shift
+
+
+@compiled
+def in_image(pixels: Array, width: int, height: int) -> NDArray[np.bool_]:
+    """Whether (n,) pixels (n, 2) are within an image."""
+    out = np.empty(len(pixels), np.bool_)
+    for i in range(len(pixels)):
+        out[i] = -0.5 <= pixels[i, 0] <= width - 0.5 and -0.5 <= pixels[i, 1] <= height - 0.5
+    return out

@@ -55,7 +55,7 @@ def accuracy(settings: AccuracySettings) -> None:
         if not 1 <= value <= most:
             raise InvalidInput(f"--{name} is {value}; accepted: 1 to {most}")
     load_scene(settings.scene)
-    console = Console()
+    console = Console(markup=False)
     content, tables = {}, []
     with output_folder(settings.out) as folder, Progress(console=console, transient=True) as progress:
         for study in dict.fromkeys(settings.studies):

@@ -87,7 +87,7 @@ class Truth:
 
 def calibrate(settings: CalibrateSettings) -> None:
     """Calibrate, and write the calibration, its picture and, in simulation, its errors."""
-    console = Console()
+    console = Console(markup=False)
     if (settings.images is None) != (settings.poses is None):
         raise InvalidInput("--images and --poses go together; accepted: both, or neither to simulate")
     if settings.out.suffix != ".toml":

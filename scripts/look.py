@@ -97,7 +97,7 @@ class LookSettings:
 
 def look(settings: LookSettings) -> None:
     """Run the whole chain and write report.html, result.json, the frames and the labelled picture to `settings.out`."""
-    console = Console()
+    console = Console(markup=False)
     if settings.rerun:
         require_rerun()
     with output_folder(settings.out) as folder:

@@ -103,7 +103,7 @@ class Reconstruction:
 
 def reconstruct(settings: ReconstructSettings) -> None:
     """Run the whole chain and write report.html, surface.ply, .glb and .stl, figures, frames and result.json to `settings.out`."""
-    console = Console()
+    console = Console(markup=False)
     with output_folder(settings.out) as folder:
         scene = alone(load_scene(settings.scene))
         with progress_bars(console) as progress:

@@ -51,7 +51,7 @@ class SensitivitySettings:
 def sensitivity(settings: SensitivitySettings) -> None:
     """Write report.html, sensitivity.json and the figures edge.png, position.png and rotation.png to `settings.out`."""
     setting = BookSetting.with_vase(settings.radius, settings.marking, settings.distance)
-    console = Console()
+    console = Console(markup=False)
     with output_folder(settings.out) as folder:
         figures = [edge_figure(setting), position_figure(setting), rotation_figure(setting)]
         for figure in figures:

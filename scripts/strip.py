@@ -94,7 +94,7 @@ class StripResult:
 
 def strip(settings: StripSettings) -> None:
     """Recover, compare, and write surface, pictures and result.json to `settings.out`."""
-    console = Console()
+    console = Console(markup=False)
     with output_folder(settings.out) as folder:
         scene = load_scene(settings.scene)
         with progress_bars(console) as progress:

@@ -55,5 +55,5 @@ def test_an_episode_is_run_again_when_its_process_dies(deadly: Evaluation, tmp_p
 @pytest.mark.slow
 def test_an_episode_that_always_kills_its_process_is_named(deadly: Evaluation, tmp_path: Path) -> None:
     (tmp_path / "always").touch()
-    with pytest.raises(EpisodeFailed, match="seed 100000[01]: it failed 2 times.*SIGKILL"):
+    with pytest.raises(EpisodeFailed, match=r"seed 100000[01]: it failed 2 times.*SIGKILL"):
         run_evaluation(deadly, tmp_path / "out", workers=2)

@@ -128,6 +128,7 @@ def test_a_surface_is_coloured_by_its_distance_to_the_truth(taken: "Taken") -> N
     ]
 
 
+@pytest.mark.slow
 def test_commands_without_frames_write_reports_too(tmp_path: Path) -> None:
     accuracy(AccuracySettings(studies=("rays", "general"), trials=10, out=tmp_path / "accuracy"))
     page = (tmp_path / "accuracy" / "report.html").read_text()

@@ -61,6 +61,7 @@ def test_slopes_are_those_of_the_book(folder: Path) -> None:
     ]
 
 
+@pytest.mark.slow
 def test_the_tables_show_all_slopes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sensitivity(SensitivitySettings(out=tmp_path / "out"))
     shown = capsys.readouterr().out

@@ -40,6 +40,7 @@ def test_what_kills_its_worker_twice_is_given_up_and_the_rest_is_done(tmp_path: 
     assert found["environment"] == b"1"
 
 
+@pytest.mark.slow
 def test_what_takes_too_long_is_ended(tmp_path: Path) -> None:
     slow, started = f"sleep {tmp_path / 'pid'}", time.monotonic()
     found = run([slow, "square 2"], workers=1, timeout=1.0)

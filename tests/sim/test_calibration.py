@@ -115,6 +115,7 @@ def test_errors_are_as_stated(arm: str, runs: int) -> None:
     assert abs(np.mean(poses) / 6 - 1) < 5 * np.sqrt(2 / (6 * runs))
 
 
+@pytest.mark.slow
 def test_a_calibrated_rig_knows_its_poses_elsewhere() -> None:
     """Readings that the calibration has not seen, at each of which the arm errs anew: NEES, and far better than before."""
     runs, nees, better = 5, [], []

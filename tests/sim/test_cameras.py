@@ -26,6 +26,7 @@ def test_distortion_can_be_inverted_all_over_the_image(name: str) -> None:
     assert np.abs(camera.distort(camera.normalise(pixels)) - pixels).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_gains_and_motion_blur_are_averages_of_frames() -> None:
     scene = load_scene("vase-and-box")
     model, camera = scene_model(scene.to_spec()), get_camera("ideal").camera

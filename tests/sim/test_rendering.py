@@ -37,7 +37,9 @@ def leaning() -> Scene:
     "camera",
     [
         Camera(),
-        Camera(width=501, height=379, fx=760.0, fy=840.0, cx=271.3, cy=170.6),
+        pytest.param(
+            Camera(width=501, height=379, fx=760.0, fy=840.0, cx=271.3, cy=170.6), marks=pytest.mark.slow
+        ),
         Camera(width=640, height=481, fx=812.0, fy=700.0, cx=290.2, cy=255.9, blur=0.6),
     ],
 )
@@ -72,6 +74,7 @@ def test_silhouettes_at_both_ends_of_the_path(name: str, quality: str, limit: fl
         assert np.abs(edges.offsets).mean() < limit
 
 
+@pytest.mark.slow
 def test_each_quality_samples_more_finely(leaning: Scene) -> None:
     rms = {name: np.sqrt(np.mean(edges_of(leaning, Camera(), name).offsets ** 2)) for name in QUALITIES}
     assert rms["preview"] < 0.08

@@ -12,10 +12,6 @@ from extremal.estimator.epipolar import EpipolarPlanes, Sequence3D
 REACH = 4  # [px] radius in which an edgel is looked for, where poses are exact
 FARTHEST_REACH = 14  # [px] the same at the most
 ALIKE = np.cos(np.deg2rad(30.0))  # directions of a contour that may match
-BESIDE, ALONG = (
-    7,
-    2.0,
-)  # [px] from a contour, within which another makes it a crowd; across it, what still goes along it
 CONFIDENCE = 4.0  # standard deviations of the poses that are reached for
 
 
@@ -45,13 +41,6 @@ class EdgelMap:
             near[self._y + (reach + dy), self._x + (reach + dx)] = self._edgel
         return near
 
-    @cached_property
-    def _on(self) -> np.ndarray:
-        """Edgel (height + 2 reach, width + 2 reach) whose contour goes through each pixel."""
-        on = np.full((self.height + 2 * self.reach, self.width + 2 * self.reach), -1, np.int32)
-        on[self._y + self.reach, self._x + self.reach] = self._edgel
-        return on
-
     def lookup(self, pixels: Array) -> np.ndarray:
         """Edgel (...) near pixels (..., 2), -1 where there is none."""
         x, y, inside = self._rounded(pixels)
@@ -59,27 +48,13 @@ class EdgelMap:
 
     def lookup_few(self, pixels: Array) -> np.ndarray:
         """The same (n,) of so few pixels (n, 2) that to prepare the answers for all of them does not pay."""
+        on = np.full((self.height + 2 * self.reach, self.width + 2 * self.reach), -1, np.int32)
+        on[self._y + self.reach, self._x + self.reach] = self._edgel
         x, y, inside = self._rounded(pixels)
         dy, dx = self.reach - _disc(self.reach).T
-        around = self._on[y[:, None] + dy, x[:, None] + dx]
+        around = on[y[:, None] + dy, x[:, None] + dx]
         first = np.argmax(around >= 0, axis=1)
         return np.where(inside, around[np.arange(len(x)), first], -1)
-
-    def crowded(
-        self, contours: Contours, pixels: Array, normals: Array, u: Array, contour: np.ndarray
-    ) -> np.ndarray:
-        """Whether another contour, or another part of the same, is BESIDE pixels (n, 2) of contours at u (n,).
-
-        What goes on along the contour, as behind a gap, is not beside it: `normals` (n, 2) of the contour tell.
-        """
-        x, y, inside = self._rounded(pixels)
-        steps = _disc(min(BESIDE, self.reach))
-        dy, dx = self.reach + steps.T
-        there = self._on[y[:, None] + dy, x[:, None] + dx]
-        other = contours.contour[there] != contour[:, None]
-        other |= np.abs(contours.u[there] - u[:, None]) > 2 * BESIDE
-        off = np.abs(normals @ steps[:, ::-1].T) > ALONG
-        return inside & np.any((there >= 0) & other & off, axis=1)
 
     def _rounded(self, pixels: Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """x, y (...) of pixels (..., 2) and whether they are in the image; 0 where not."""
@@ -100,8 +75,7 @@ def _disc(reach: int) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class Crossings:
     """Crossings (n) of contours with epipolar planes: pixels, directions (n, 3) in the world to their brighter sides,
-    rays, normals (n, 3) of the tangent planes, in-plane sigma [rad], limb, curvature, contrast, whether another contour
-    runs or ends beside them."""
+    rays, normals (n, 3) of the tangent planes, in-plane sigma [rad], limb, curvature."""
 
     found: np.ndarray
     directions: Array
@@ -111,8 +85,6 @@ class Crossings:
     sigma: Array
     limb: Array
     curvature: Array
-    contrast: Array
-    crowded: np.ndarray
 
 
 def cross(
@@ -136,10 +108,10 @@ def cross(
     found = index >= 0
     if len(contours.u) == 0 or not found.any():
         n = len(points)
-        none = np.zeros(n)
-        blank, no = np.zeros((n, 3)), np.zeros(n, bool)
+        nothing = np.zeros(n)
+        blank = np.zeros((n, 3))
         return Crossings(
-            no, blank, blank[:, :2], blank + 1.0, blank, none + np.inf, none, none, none, no.copy()
+            nothing > 0, blank, blank[:, :2], blank + 1.0, blank, nothing + np.inf, nothing, nothing
         )
     index = np.maximum(index, 0)
     contour = contours.contour[index]
@@ -177,8 +149,6 @@ def cross(
         np.where(found, sigma, np.inf),
         contours.limb[nearest],
         curvature,
-        contours.contrast[nearest],
-        edgels.crowded(contours, position, normal, u, contour),
     )
 
 

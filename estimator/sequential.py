@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 
 from extremal.estimator.camera import Array, View
 from extremal.estimator.circle_filter import CircleFilter
-from extremal.estimator.continuity import Continuity, pose_root
 from extremal.estimator.contour_filter import ContourFilter
 from extremal.estimator.contours import Contours, find_contours
 from extremal.estimator.epipolar import SHORTEST_BASELINE, Sequence3D
@@ -22,11 +21,14 @@ from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.estimates import DRIFT, LEAST_VIEWS, OVERLAP, fit_circles
 from extremal.estimator.joint import sections_of
 from extremal.estimator.matching import EdgelMap, cross, reach_of
+from extremal.estimator.poses import square_root
 from extremal.estimator.references import bootstrap
 from extremal.estimator.tracking import GATE, LEAST_GATE, NEAREST, PARALLEL, track
 
 ROUGH = 0.04  # of the distance: sigma of a depth from the first views
-FIRST_SEEN = 0.75  # of the first views, in which a track has to be seen
+LEAST_IN_STEP = 12  # matches from which on they tell of the pose that they share
+IN_STEP_ROUNDS = 6
+LEAST_SPREAD = 0.1  # [px] of predictions among each other
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
 
 
@@ -122,10 +124,9 @@ class SequentialShape:
         sequence = Sequence3D.of(views)
         self._reach, self._travel, middle = reach_of(sequence), sequence.travel, len(views) // 2
         maps = [EdgelMap(c, v.camera.width, v.camera.height, self._reach) for v, c in self._waiting]
-        tracks = track(sequence, contours, maps, middle, self._nearest, views)
+        tracks = track(sequence, contours, maps, middle, self._nearest)
         fit = fit_circles(views, sequence, tracks)
-        least = max(LEAST_VIEWS, FIRST_SEEN * len(views))
-        chosen = np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= least))
+        chosen = np.flatnonzero(fit.circles.valid & (fit.seen.sum(axis=1) >= LEAST_VIEWS))
         sections = sections_of(sequence, tracks, fit, chosen)
         distance = np.linalg.norm(sections.origin - sequence.centres[middle], axis=1)
         self._drift = DRIFT * distance / views[middle].camera.fx
@@ -144,12 +145,11 @@ class SequentialShape:
         tangents = tracks.tangents[chosen]
         bright = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
         self._direction = bright @ sequence.rotations[middle][:, :2].T
-        self._continuity = Continuity(len(chosen))
         self.started, self._waiting = True, []
 
     def _absorb(self, view: View, normals: Array, sigma: Array) -> None:
         self._views += np.isfinite(sigma)
-        self._filter.update(view.T_world_camera, pose_root(view), normals, sigma)
+        self._filter.update(view.T_world_camera, _root(view), normals, sigma)
 
     def _follow(self, view: View, contours: Contours) -> None:
         """Match the tracks with the contours of a view."""
@@ -161,7 +161,7 @@ class SequentialShape:
         sigma = np.hypot(found.sigma, sequence.pose_sigma(0, distance))
         gate = LEAST_GATE / view.camera.fx + GATE * np.hypot(spread, sigma)
         ok = found.found & (np.abs(self._circles.innovation(view.centre, points, found.rays)) < gate)
-        ok = self._continuity.kept(ok, view, contours.noise, points, found, self._direction)
+        ok = in_step(ok, view, points, found.tangent_planes @ sequence.rotations[0])
         self._circles.update(ok, view.centre, found.rays, sigma, points)
         self._direction = np.where(ok[:, None], found.directions, self._direction)
         self._pixels = np.where(ok[:, None], found.pixels, self._pixels)
@@ -218,8 +218,43 @@ class SequentialShape:
         )
 
 
+def in_step(ok: np.ndarray, view: View, points: Array, normals: Array) -> np.ndarray:
+    """Which matches `ok` (n,) move as the others do.
+
+    An error d of the pose moves all contours together: a tangent plane n (in the camera frame) passes its contact point p by
+    n.p = [n, p x n] d. What is left of these distances, once the likeliest d for most of the tracks is taken out, tells a track
+    that has gone over to another contour, as where an edge goes behind a limb, long before it is as far off as a pose may be.
+
+    Args:
+        points: (n, 3) [m] predicted contact points, in the world. normals: (n, 3) unit, of the tangent planes, in the camera frame.
+    """
+    rows = np.flatnonzero(ok)
+    if len(rows) < LEAST_IN_STEP:
+        return ok
+    normals = normals[rows]
+    p = (points[rows] - view.centre) @ view.T_world_camera.rotation.as_matrix()
+    distance = np.linalg.norm(p, axis=1)
+    misses = np.sum(normals * p, axis=1) / distance
+    A = np.concatenate([normals, np.cross(p, normals)], axis=1) @ _root(view) / distance[:, None]
+    left, scale = misses, 0.0
+    for _ in range(IN_STEP_ROUNDS):
+        scale = max(1.48 * float(np.median(np.abs(left))), LEAST_SPREAD / view.camera.fx)
+        weight = 1 / (scale * np.maximum(np.abs(left), scale))  # Huber's: of far ones, the sign counts
+        weighted = A.T * weight
+        left = misses - A @ np.linalg.solve(weighted @ A + np.eye(A.shape[1]), weighted @ misses)
+    alike = np.zeros_like(ok)
+    alike[rows] = np.abs(left) < LEAST_GATE / view.camera.fx + GATE * scale
+    return alike
+
+
 def _alone(view: View, travel: Array) -> Sequence3D:
     """One view as a sequence with the travel of those before it."""
     variance = np.diagonal(view.pose_covariance).reshape(1, 2, 3).mean(axis=2)
     rotation = view.T_world_camera.rotation.as_matrix()
     return Sequence3D((view.camera,), rotation[None], view.centre[None], travel, *np.sqrt(variance).T)
+
+
+def _root(view: View) -> Array:
+    """(6, 6) square root of the pose's covariance, or (6, 0) of an exact pose."""
+    root = square_root(view.pose_covariance[None])[0]
+    return np.pad(root, ((0, 0), (0, 6 - root.shape[1]))) if root.shape[1] else root

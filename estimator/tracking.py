@@ -7,14 +7,12 @@ boundary, which slips over the surface, is followed as well as a fixed feature. 
 left out of that view only: a T-junction or a short occlusion does not end a track.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
 
-from extremal.estimator.camera import Array, View
+from extremal.estimator.camera import Array
 from extremal.estimator.circle_filter import CircleFilter
-from extremal.estimator.continuity import begun
 from extremal.estimator.contours import Contours
 from extremal.estimator.epipolar import EpipolarPlanes, Sequence3D
 from extremal.estimator.matching import ALIKE, Crossings, EdgelMap, cross, in_plane_sigma, loose_sigma
@@ -71,13 +69,8 @@ def track(
     maps: list[EdgelMap],
     reference: int,
     nearest: float = NEAREST,
-    views: Sequence[View] | None = None,
 ) -> Tracks:
-    """Tracks of the edgels of the reference view whose contour crosses their epipolar plane, from a depth `nearest` [m] on.
-
-    Where the `views` of the sequence are given, matches have to hold together beyond what errors of the poses explain
-    (`continuity`).
-    """
+    """Tracks of the edgels of the reference view whose contour crosses their epipolar plane, from a depth `nearest` [m] on."""
     edgels = contours[reference]
     rays = sequence.rays(reference, edgels.positions)
     planes = EpipolarPlanes.through(sequence.centres[reference], sequence.travel, rays)
@@ -100,8 +93,6 @@ def track(
             sigma,
             edgels.limb[chosen],
             edgels.curvature[chosen],
-            edgels.contrast[chosen],
-            np.zeros(len(chosen), bool),
         )
     ]
     order = [reference, *sequence.neighbours(reference)]
@@ -119,15 +110,7 @@ def track(
         )
         gate = LEAST_GATE / sequence.cameras[view].fx + GATE * np.hypot(spread, sigma)
         ok = crossing.found & (np.abs(state.innovation(sequence.centres[view], points, crossing.rays)) < gate)
-        centre, rays = sequence.centres[view], crossing.rays
-        if views is not None:
-            ok, pose = begun(
-                ok, views[view], contours[view].noise, points, crossing, edgels.contour[chosen], edgels.contrast[chosen]
-            )  # fmt: skip
-            if views[view].pose_covariance.any():
-                centre, sigma = pose.translation, crossing.sigma
-                rays = rays @ (pose.rotation.as_matrix() @ sequence.rotations[view].T).T
-        state.update(ok, centre, rays, sigma, points)
+        state.update(ok, sequence.centres[view], crossing.rays, sigma, points)
         latest[ahead] = np.where(ok[:, None], crossing.directions, latest[ahead])
         columns.append(_where_seen(ok, crossing, sequence, view, points, planes))
     back = np.argsort(order)
@@ -209,6 +192,4 @@ def _where_seen(
         np.where(ok, crossing.sigma, np.inf),
         np.where(ok, crossing.limb, 0.0),
         np.where(ok, crossing.curvature, 0.0),
-        crossing.contrast,
-        crossing.crowded,
     )

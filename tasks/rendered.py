@@ -9,7 +9,6 @@ from scipy.spatial.transform import RigidTransform
 from threadpoolctl import ThreadpoolController
 
 from extremal.estimator.camera import Array, Camera, View
-from extremal.estimator.continuity import Continuity
 from extremal.estimator.contours import SYSTEMATIC, Contours, find_contours
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.estimates import OVERLAP
@@ -37,8 +36,7 @@ FINE = replace(
 )  # edges in frames that are sampled finely
 APART = round(OVERLAP)  # edgels along a contour from which on errors are independent
 NEAREST = 0.06  # [m] of depths: past an obstacle at the wanted clearance, tangents are as short
-MOST = 64  # tracks that are followed, more or less
-EACH = 8  # that are estimated on one contour: a long one, as of a limb, may not outvote what is fixed where references are looked for
+MOST = 64  # tracks that are estimated, more or less
 
 AROUND = 48  # [px] about a track in which the frame is looked at: as far as neighbours help to judge an edge
 GRID = 16  # [px] to which parts of frames are rounded
@@ -157,16 +155,15 @@ class _Tracks(SequentialShape):
             return pixels[np.all((pixels > -AROUND) & (pixels < np.add(size, AROUND)), axis=1)]
 
     def _begin(self) -> None:
-        """From here on only some points are followed, of which those that are estimated are a part."""
+        """From here on only the points that are estimated are followed."""
         super()._begin()
-        rows, circles = self._followed, self._circles
+        rows, circles = self._rows, self._circles
         self._planes = circles.planes = self._planes.take(rows)
         for name in ("information", "vector", "covariance", "state"):
             setattr(circles, name, getattr(circles, name)[rows])
         for name in ("_direction", "_loose", "_pixels"):
             setattr(self, name, getattr(self, name)[rows])
-        self._continuity = Continuity(len(rows))
-        self._rows = np.searchsorted(rows, self._rows)
+        self._rows = np.arange(len(rows))
 
     def _absorb(self, view: View, normals: Array, sigma: Array) -> None:
         """Of the contour points a few, whose errors are their own, in place of all in a `ContourFilter`."""
@@ -174,8 +171,7 @@ class _Tracks(SequentialShape):
         if self._sections is None:
             up = np.einsum("ni,ni->n", normals @ pose[:3, :3].T, self._frame[:, 2])
             steep = np.isfinite(sigma) & (up**2 < 1 - (STEEPER * LEAST_TILT) ** 2)
-            self._followed = np.flatnonzero(steep)[_followed(self._contour[steep])]
-            self._rows = self._followed[_estimated(self._contour[self._followed])]
+            self._rows = np.flatnonzero(steep)[_thinned(self._contour[steep])]
             origin = self._origin[self._rows]
             self._sections = SectionTracks(
                 origin,
@@ -221,15 +217,8 @@ def _far_from(near: Array, camera: Camera) -> NDArray[np.bool_]:
     return far
 
 
-def _followed(contour: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Rows (n) to follow of points that are in order along contours: every APART-th of each, or fewer where these are more than MOST."""
+def _thinned(contour: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Rows (n) to keep: every APART-th point of each contour, or fewer where these are too many."""
+    _, first, inverse = np.unique(contour, return_index=True, return_inverse=True)
     step = max(APART, -(-len(contour) // MOST))
-    return np.flatnonzero((np.arange(len(contour)) - np.searchsorted(contour, contour)) % step == step // 2)
-
-
-def _estimated(contour: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Rows (n) to estimate of points that are in order along contours: EACH of every contour, or all of a shorter one."""
-    first, last = (np.searchsorted(contour, contour, side=side) for side in ("left", "right"))
-    rank, count = np.arange(len(contour)) - first, last - first
-    kept = np.minimum(count, EACH)
-    return np.flatnonzero((rank + 1) * kept // count > rank * kept // count)
+    return np.flatnonzero((np.arange(len(contour)) - first[inverse]) % step == step // 2)

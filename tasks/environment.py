@@ -152,6 +152,11 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         """T_world_camera, in truth."""
         return RigidTransform(self.T_actual, normalize=False)
 
+    @property
+    def here(self) -> Array:
+        """(3,) [m] where the camera is in truth."""
+        return self.T_actual[:3, 3].copy()
+
     # Gymnasium's interface.
 
     @property

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import ThreadpoolController
 
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import InvalidInput
@@ -23,6 +22,7 @@ from extremal.tasks.track_sets import (
     SPACING,
     PoseRoots,
     TrackSets,
+    blas,
     checked_pose,
     checked_spacing,
     first_baseline,
@@ -40,15 +40,13 @@ class GeometricSensor:
     def __init__(self, edge_model: EdgeModel | None = None, spacing: float = SPACING) -> None:
         self._model, self._spacing = edge_model or EdgeModel(), checked_spacing(spacing)
         self._sets: TrackSets[_Look] | None = None
-        self._roots, self._threads, self._many = PoseRoots(), ThreadpoolController(), True
+        self._roots, self._many = PoseRoots(), True
 
     def reset(self, scene: Scene, camera: Camera, rng: np.random.Generator) -> None:
         """See `FeatureSensor`; raises SceneError for a scene with a mesh."""
         geometry = EdgeGeometry(scene)
         # setting the number of threads takes a tenth of a look
-        self._many = any(
-            pool["num_threads"] > 1 for pool in self._threads.info() if pool["user_api"] == "blas"
-        )
+        self._many = any(pool["num_threads"] > 1 for pool in blas().info() if pool["user_api"] == "blas")
         self._roots = PoseRoots()
         self._sets = TrackSets(lambda: _Tracks(geometry, camera, self._model, rng), self._spacing)
 
@@ -61,7 +59,7 @@ class GeometricSensor:
             return self._sets.features
         root = self._roots.of(pose_covariance)
         look = _Look(actual, believed, root, first_baseline(pose_covariance))
-        with self._threads.limit(limits=1, user_api="blas") if self._many else nullcontext():
+        with blas().limit(limits=1, user_api="blas") if self._many else nullcontext():
             return self._sets.take_in(look, look.believed[:3, 3])
 
     @property

@@ -102,7 +102,7 @@ class GraspEnv(ActiveVisionEnv[GraspSetup]):
         cup = RigidTransform.from_matrix(product(self.T_commanded, _CAMERA_CUP)[None])
         self.joints = self.arm.joint_positions(cup)[0]
         self._collision, self._grasp = False, dict.fromkeys(_GRASP, float("nan"))
-        self._trace = [self.T_actual[:3, 3].copy()]
+        self._trace = [self.here]
         self._world: GraspWorld | None = None
         self._near = Clearance(self.scene, CAMERA_RADIUS, smallest=1e-9)
 
@@ -114,7 +114,7 @@ class GraspEnv(ActiveVisionEnv[GraspSetup]):
         return {"accepted": np.array(accepted, np.float32), "joints": self.joints.astype(np.float32)}
 
     def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
-        here = self.T_actual[:3, 3].copy()
+        here = self.here
         self._trace.append(here)
         self._near.take_in(between(before, here))
         self._collision = self._near.smallest <= 0

@@ -108,7 +108,7 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         self._question = Question(self.camera, self.commanded, self._query)
         self._collision, self._scores = False, dict.fromkeys(_SCORES, float("nan"))
         self._near = Clearance(self.scene, SPHERE, smallest=0.0)
-        self._trace = [self.T_actual[:3, 3].copy()]
+        self._trace = [self.here]
 
     def _extra(self) -> Observation:
         extra: Observation = {"query": self._shown_query.copy()}
@@ -128,7 +128,7 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
         return Tracked(f.position, f.normal, f.contour, f.views, f.best_radius, f.best_sigma)
 
     def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
-        here = self.T_actual[:3, 3].copy()
+        here = self.here
         self._trace.append(here)
         self._near.take_in(between(before, here))
         self._collision = self._near.smallest < 0

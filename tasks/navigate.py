@@ -94,9 +94,9 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
     def _begin(self) -> None:
         self._best = 0.0
         self._near = Clearance(self.scene, self.setup.radius)
-        self._near.take_in(self._here[None])
+        self._near.take_in(self.here[None])
         self._whole = self._distance
-        self._trace = [self._here]
+        self._trace = [self.here]
 
     def _observations(self) -> dict[str, gym.Space[Any]]:
         return super()._observations() | {"goal": gym.spaces.Box(-10.0, 10.0, (3,), np.float32)}
@@ -105,8 +105,8 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
         return {"goal": self.setup.goal.astype(np.float32)}
 
     def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
-        self._near.take_in(between(before, self._here))
-        self._trace.append(self._here)
+        self._near.take_in(between(before, self.here))
+        self._trace.append(self.here)
         success = self._clearance > 0 and self._distance <= ARRIVED
         reward = 0.5 * self._progress() if self.reward_mode == "shaped" and self._clearance > 0 else 0.0
         arrived = (0.5 if self.reward_mode == "shaped" else 1.0) if success else 0.0
@@ -120,12 +120,8 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
         return gained
 
     @property
-    def _here(self) -> Array:
-        return self.T_actual[:3, 3].copy()
-
-    @property
     def _distance(self) -> float:
-        return math.dist(self.setup.goal, self._here)
+        return math.dist(self.setup.goal, self.here)
 
     @property
     def _clearance(self) -> float:
@@ -151,6 +147,6 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
         marks = [
             (np.array(self._trace), "path"),
             (self.setup.goal[None], "goal"),
-            (self._here[None], "camera"),
+            (self.here[None], "camera"),
         ]
         return fixating(eye[None], above)[0], marks

@@ -14,6 +14,7 @@ from scipy.spatial.transform import RigidTransform
 from extremal.estimator.camera import Array, Camera
 from extremal.tasks.answers import Answer, contact_from, probability_extremal
 from extremal.tasks.compiled import compiled
+from extremal.tasks.rigid import place
 from extremal.tasks.triples import plus, put, row, turned_back
 
 LEVEL, SIDE = (
@@ -136,7 +137,7 @@ def _seen_first(
 ) -> tuple[Array, Array]:
     """Contact points (n, 3) [m] as a first view from `pose` (4, 4) has them, in the camera frame, NaN behind it and where there are
     not `enough` looks (n,); and unit vectors (n, 2) across their contours."""
-    eye = (pose[0, 3], pose[1, 3], pose[2, 3])
+    eye = place(pose)
     there, across = contact_from(eye, position, normal, radius), np.empty((len(radius), 2))
     for i in range(len(radius)):
         put(there, i, turned_back(pose, plus(row(there, i), -1.0, eye)))

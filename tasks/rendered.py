@@ -1,12 +1,10 @@
 """A sensor that looks: frames rendered by MuJoCo, through the real vision pipeline."""
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
-from threadpoolctl import ThreadpoolController
 
 from extremal.estimator.camera import Array, Camera, View
 from extremal.estimator.contours import SYSTEMATIC, Contours, find_contours
@@ -26,6 +24,7 @@ from extremal.tasks.track_sets import (
     SPACING,
     PoseRoots,
     TrackSets,
+    blas,
     checked_pose,
     checked_spacing,
     first_baseline,
@@ -138,7 +137,7 @@ class _Tracks(SequentialShape):
 
     def take_in(self, look: _Look) -> None:
         if self.started:
-            with _blas().limit(limits=1, user_api="blas"):
+            with blas().limit(limits=1, user_api="blas"):
                 self._pixels = self._pixels - look.corner
                 self._follow(look.view, look.contours)
                 self._pixels = self._pixels + look.corner
@@ -191,12 +190,6 @@ class _Tracks(SequentialShape):
         if self._sections is None:
             return Features.empty()
         return self._sections.features(self._pixels[self._rows])
-
-
-@cache
-def _blas() -> ThreadpoolController:
-    """To look for the libraries takes milliseconds: once a process."""
-    return ThreadpoolController()
 
 
 def _part(camera: Camera, near: Array) -> tuple[Camera, Array]:

@@ -7,6 +7,7 @@ import numpy as np
 from extremal.estimator.camera import Array
 from extremal.estimator.slant import RIDGE
 from extremal.tasks.compiled import compiled
+from extremal.tasks.rigid import place
 from extremal.tasks.section_rows import inverse_root
 from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, turned, turned_back, unit
 
@@ -36,7 +37,7 @@ def smoothed(
         point = plus(plus(row(origin, i), theta[i, 0], row(frame[i], 0)), theta[i, 1], row(frame[i], 1))
         for v in range(looks):
             normal = row(planes[v], i)
-            ray = plus(point, -1.0, (poses[v, 0, 3], poses[v, 1, 3], poses[v, 2, 3]))
+            ray = plus(point, -1.0, place(poses[v]))
             # through the measured planes: a normal is perpendicular to its ray
             ray = unit(plus(ray, -dot(ray, normal), normal))
             N = unit(crossed(ray, m))

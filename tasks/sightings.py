@@ -8,15 +8,10 @@ from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
 from extremal.tasks.compiled import compiled
+from extremal.tasks.rigid import place
 from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, times, turned, turned_back, unit
 
 LEAST_SLOPE = 1e-9  # [1/px]
-
-
-@compiled
-def centre_of(pose: Array) -> Vector:
-    """Camera centre [m]."""
-    return pose[0, 3], pose[1, 3], pose[2, 3]
 
 
 @compiled
@@ -27,10 +22,10 @@ def believed_planes(plane: Array, start: Array, points: Array, actual: Array, be
         e = R_actual R_believed' e_0 + (e_0 . (v_believed - v_0) / |d|^2) d,    d = r - v_actual
     """
     out = np.empty(plane.shape)
-    off = plus(centre_of(believed), -1.0, (start[0], start[1], start[2]))
+    off = plus(place(believed), -1.0, (start[0], start[1], start[2]))
     for i in range(len(plane)):
         e = row(plane, i)
-        d = plus(row(points, i), -1.0, centre_of(actual))
+        d = plus(row(points, i), -1.0, place(actual))
         there = turned(actual, turned_back(believed, e))
         put(out, i, plus(there, dot(e, off) / dot(d, d), d))
     return out
@@ -41,7 +36,7 @@ def in_camera(points: Array, actual: Array, believed: Array) -> tuple[Array, Vec
     """Points (n, 3) in the camera frame [m], and the middle of the rays to them in the world as believed, a unit vector."""
     out, middle = np.empty(points.shape), (0.0, 0.0, 0.0)
     for i in range(len(points)):
-        p = turned_back(actual, plus(row(points, i), -1.0, centre_of(actual)))
+        p = turned_back(actual, plus(row(points, i), -1.0, place(actual)))
         put(out, i, p)
         middle = plus(middle, 1.0, unit(p))
     return out, unit(turned(believed, middle))

@@ -15,6 +15,7 @@ from extremal.tasks.rigid import (
     exponential,
     inverse,
     orthonormal,
+    place,
     product,
     quaternion,
     reduced,
@@ -166,7 +167,7 @@ def _stepped(pose: Array, way: Vector, turn: Vector, is_velocity: bool) -> Array
         way, turn = times(DT * SPEED, way), times(DT * TURN, turn)
     else:
         goal = exponential((0.0, 0.0, 0.0), turn)
-        way = plus(way, -1.0, (pose[0, 3], pose[1, 3], pose[2, 3]))
+        way = plus(way, -1.0, place(pose))
         back = inverse(pose)
         turn = reduced(rotation_vector(product(back, goal)), DT * TURN)
     way = reduced(way, DT * SPEED)

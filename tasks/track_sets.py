@@ -10,9 +10,11 @@
 
 import math
 from collections.abc import Callable
+from functools import cache
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from extremal.estimator.camera import Array
 from extremal.estimator.epipolar import LEAST_CERTAINTY
@@ -88,6 +90,12 @@ class TrackSets(Generic[S]):
         before, now = self._origin - middle, centre - middle
         cosine = before @ now / max(float(np.linalg.norm(before) * np.linalg.norm(now)), 1e-12)
         return float(cosine) < np.cos(FARTHEST_TURN)
+
+
+@cache
+def blas() -> ThreadpoolController:
+    """To look for the libraries takes milliseconds: once a process."""
+    return ThreadpoolController()
 
 
 def first_baseline(pose_covariance: Array) -> float:

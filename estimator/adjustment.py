@@ -16,13 +16,13 @@ from functools import cached_property
 
 import numpy as np
 from numpy.linalg import norm
-from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 from scipy.spatial.transform import RigidTransform
 from threadpoolctl import threadpool_limits
 
 from extremal.estimator.camera import Array
 from extremal.estimator.elimination import Cameras, Linearised, linearise_all
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.marginals import Shapes, marginals
 from extremal.estimator.poses import PosePrior
 from extremal.estimator.support import CIRCLE, FIXED, Features, Sections
@@ -34,6 +34,7 @@ REWEIGHTED = (
     8  # steps after which weights are held, lest planes that are nearly far swing between two solutions
 )
 STEADY = 0.1  # of their distance: features known less well than this don't help to find the cameras
+UNHEARD_OF = 1e6  # standard deviations by which no pose is wrong to start with
 LOOSE = 0.2  # of its distance: a depth known less well than this is beyond linear error propagation
 
 
@@ -72,7 +73,15 @@ class _State:
     @cached_property
     def decrement(self) -> float:
         """Length of the Newton step that is left, in standard deviations of the posterior; NaN for cameras beyond reach."""
-        return float(np.sqrt(self.gradient @ cho_solve(cho_factor(self.matrix), self.gradient)))
+        try:
+            return float(np.sqrt(-self.gradient @ self.step(0.0)))
+        except DegenerateGeometry:
+            return float("nan")
+
+    def step(self, damping: float) -> Array:
+        """Newton's step (U,), damped."""
+        damped = self.matrix + damping * np.diag(np.diagonal(self.matrix))
+        return -cho_solve((_factor(damped), True), self.gradient)
 
     def theta(self, k: int) -> Array:
         """(n, k) of one set of features."""
@@ -113,7 +122,8 @@ def adjust(
         start: (U,) whitened camera unknowns to start from; by default the believed poses.
 
     Raises:
-        InvalidInput: no features, features of another number of views, or overlap below 1.
+        InvalidInput: no features, features of another number of views, overlap below 1, or a start that does not fit.
+        DegenerateGeometry: standard deviations of poses or planes that are too far apart for double precision.
     """
     views = len(prior.T_world_camera)
     if not any(len(f) for f in features):
@@ -125,9 +135,15 @@ def adjust(
             )
     if not overlap >= 1:
         raise InvalidInput(f"overlap is {overlap!r}; accepted: a number from 1")
+    start = np.zeros(prior.unknowns) if start is None else start
+    if start.shape != (prior.unknowns,) or not np.all(np.abs(start) < UNHEARD_OF):
+        raise InvalidInput(
+            f"start is {start.shape}, up to {np.max(np.abs(start), initial=0.0):.3g}; accepted: ({prior.unknowns},), of "
+            f"numbers below {UNHEARD_OF:g}"
+        )
     with threadpool_limits(1, "blas"), ThreadPoolExecutor(2) as pool:
         solver = _Solver(prior, list(features), overlap, pool)
-        state, converged, steps = solver.solve(np.zeros(prior.unknowns) if start is None else start)
+        state, converged, steps = solver.solve(start)
         return solver.adjustment(state, converged, steps)
 
 
@@ -168,8 +184,7 @@ class _Solver:
         state = self.evaluate(u, self.thetas(state), robust)
         damping, steps = 0.0, 0
         for _ in range(STEPS):
-            damped = state.matrix + damping * np.diag(np.diagonal(state.matrix))
-            step = cho_solve(cho_factor(damped), -state.gradient)
+            step = state.step(damping)
             if 0 < steps <= REWEIGHTED:  # not at the start, where residuals are those of wrong poses
                 robust = [s * robust_factor(state.residuals(k)) for k, s in enumerate(steady)]
             there = self.evaluate(state.cameras.u + step, self.thetas(state), robust)
@@ -187,8 +202,10 @@ class _Solver:
 
     def scale(self, state: _State) -> float:
         """Residuals of the start are those of wrong poses: what is far among them is measured by their own spread."""
-        every = [state.residuals(k)[np.isfinite(f.sigma)] for k, f in enumerate(self.features)]
-        return max(1.0, 1.5 * float(np.median(np.abs(np.concatenate(every)))))
+        every = np.concatenate(
+            [state.residuals(k)[np.isfinite(f.sigma)] for k, f in enumerate(self.features)]
+        )
+        return max(1.0, 1.5 * float(np.median(np.abs(every)))) if len(every) else 1.0
 
     def thetas(self, state: _State) -> list[Array]:
         return [state.theta(k) for k in range(len(self.features))]
@@ -216,9 +233,7 @@ class _Solver:
     def adjustment(self, state: _State, converged: bool, steps: int) -> Adjustment:
         """Marginal covariances at the solution."""
         prior, u = self.prior, state.cameras.u
-        root = solve_triangular(
-            np.linalg.cholesky(state.matrix), np.eye(len(u)), lower=True
-        )  # covariance root' root
+        root = solve_triangular(_factor(state.matrix), np.eye(len(u)), lower=True)  # covariance root' root
         views, _, own = prior.root.shape
         moves = np.zeros((views, 6, len(u)))
         for i in range(views):
@@ -259,6 +274,20 @@ class _Solver:
         for values in (out.covariance, out.sigma_radius, out.own_variance):
             values[~out.valid] = np.inf
         return out
+
+
+def _factor(matrix: Array) -> Array:
+    """Lower Cholesky factor (U, U) of what is the unit matrix and more."""
+    try:
+        factor = np.linalg.cholesky(matrix)
+    except np.linalg.LinAlgError:
+        factor = np.full_like(matrix, np.nan)
+    if not np.all(np.isfinite(factor)):
+        raise DegenerateGeometry(
+            "what the features tell of the cameras is beyond double precision; accepted: standard deviations of planes and "
+            "poses that could be"
+        )
+    return factor
 
 
 def robust_factor(residuals: Array) -> Array:

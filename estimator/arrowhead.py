@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from extremal.estimator.camera import Array
+from extremal.estimator.errors import DegenerateGeometry
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,7 +110,10 @@ class Arrowhead:
         )
 
     def solve(self, fixed: np.ndarray) -> "Solution":
-        """Points `fixed` (n,) have their third unknown, the radius, held at zero."""
+        """Points `fixed` (n,) have their third unknown, the radius, held at zero.
+
+        Raises DegenerateGeometry where what points and views share is not determined.
+        """
         blocks = self.blocks
         if fixed.any():
             blocks = blocks.copy()
@@ -120,10 +124,18 @@ class Arrowhead:
         spread = inverse @ self.border
         flat = self.border.reshape(self.vector.size, len(self.load))
         schur = self.core - flat.T @ spread.reshape(flat.shape)
-        covariance = np.linalg.inv(schur)
+        try:
+            covariance = np.linalg.inv(schur)
+        except np.linalg.LinAlgError:
+            covariance = np.full_like(schur, np.nan)
         alone = np.einsum("nij,nj->ni", inverse, self.vector)
         common = covariance @ (self.load - flat.T @ alone.ravel())
-        return Solution(alone - spread @ common, common, inverse, spread, schur, covariance)
+        theta = alone - spread @ common
+        if not all(np.all(np.isfinite(a)) for a in (theta, common, covariance)):
+            raise DegenerateGeometry(
+                "the views don't determine where cameras and sections lie; accepted: views with a baseline that see sections"
+            )
+        return Solution(theta, common, inverse, spread, schur, covariance)
 
     def freed(self, solution: "Solution") -> tuple[Array, Array]:
         """Third unknown (n,) of every point and its variance, from all that speaks of it but that it was held at zero."""

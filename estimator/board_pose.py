@@ -13,7 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from extremal.estimator.board import Board
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.corners import Corners
-from extremal.estimator.errors import DegenerateGeometry
+from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.poses import pose_exp
 from extremal.estimator.projection import point_by_twist, projection
 
@@ -23,6 +23,7 @@ THIN = 0.1  # of a square, across which corners count as standing on one line
 # as this happens at four standard deviations, whatever D is.
 AMBIGUOUS = 16.0
 LOOSE = 0.01  # [rad] standard deviation of the rotation, beyond which how foreshortened a board is leaves the linear
+SHARPEST = 1e-9  # [px] standard deviation that no corner falls below
 STEPS, SETTLED = 30, 1e-8  # [m], [rad]
 
 
@@ -72,11 +73,11 @@ def board_pose(camera: Camera, board: Board, corners: Corners) -> BoardPose:
 
     Raises:
         DegenerateGeometry: fewer than six corners, corners on one line, or corners that two poses explain.
+        InvalidInput: a covariance that is not positive definite.
     """
     points = board.corners[corners.ids]
     _check_layout(board, points)
-    root = np.linalg.cholesky(corners.covariance)
-    sighting = _Sighting(camera, points, corners.pixels, np.linalg.inv(root))
+    sighting = _Sighting(camera, points, corners.pixels, _whitening(corners.covariance))
     poses = [_refined(sighting, start) for start in _starts(camera, points, corners.pixels)]
     fits = sorted((fit for fit in poses if fit is not None), key=lambda fit: fit[1])
     if not fits:
@@ -113,6 +114,19 @@ def _check_layout(board: Board, points: Array) -> None:
     across = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[1]
     if across < THIN * board.square:
         raise DegenerateGeometry(f"all {len(points)} corners seen of the board lie on one line")
+
+
+def _whitening(covariance: Array) -> Array:
+    """Inverse square roots (n, 2, 2)."""
+    try:
+        inverse = np.linalg.inv(np.linalg.cholesky(covariance))
+    except np.linalg.LinAlgError:
+        inverse = np.full_like(covariance, np.nan)
+    if not np.all(np.abs(inverse) < 1 / SHARPEST):
+        raise InvalidInput(
+            f"a covariance of corners is not positive definite; accepted: standard deviations above {SHARPEST:g} px"
+        )
+    return inverse
 
 
 def _starts(camera: Camera, points: Array, pixels: Array) -> list[RigidTransform]:

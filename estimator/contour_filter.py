@@ -19,13 +19,17 @@ from extremal.estimator.adjustment import LOOSE
 from extremal.estimator.arrowhead import Arrowhead, Rows
 from extremal.estimator.camera import Array
 from extremal.estimator.elimination import UNRESOLVED
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.scene_map import FORCE, SCALE, SceneMap, Views
 
 START, WINDOW = 14, 2  # views that are linearised anew: at the start, until depths are known, and later
 RANK = 30  # combinations of past camera errors that are kept
 OWN_SAY = 0.75  # of what a view itself says of where it is linearised for good, the part that is taken out
 ACROSS_PRIOR, RADIUS_PRIOR = 0.1, 0.06  # [m] sigma of s and R at first; only predictions feel it
+FINEST = (
+    1e-8  # [rad] below it rounding, the squares of what poses leave open against this, is the largest error
+)
+COLLAPSED = 10.0  # logarithm of the map's scale against the robot's, which no arm is wrong by
 OPEN = 1e-3  # of the information of the prior, for sections that the planes don't determine
 
 
@@ -97,10 +101,24 @@ class ContourFilter:
             sigma: (n,) [rad] of the planes' angle about the camera centre; infinite where a section is not seen.
 
         Raises:
-            InvalidInput: wrong shapes, a number that is not finite, sigma that is not positive. Nothing is changed then.
+            InvalidInput: wrong shapes, a number that is not finite, sigma that is not positive.
+            DegenerateGeometry: the views so far don't determine what they share. Nothing is changed by either.
         """
         believed = T_world_camera.as_matrix()
         self._check(believed, root, normals, sigma)
+        before = vars(self).copy()  # whose values are replaced, never changed
+        try:
+            self._take(believed, root, normals, sigma)
+        except (DegenerateGeometry, np.linalg.LinAlgError) as error:
+            vars(self).clear()
+            vars(self).update(before)
+            if isinstance(error, DegenerateGeometry):
+                raise
+            raise DegenerateGeometry(
+                "a view's planes are beyond double precision; accepted: sigma that could be"
+            ) from error
+
+    def _take(self, believed: Array, root: Array, normals: Array, sigma: Array) -> None:
         view = Views(
             believed[None],
             root[None],
@@ -129,8 +147,11 @@ class ContourFilter:
         for name, value in (("T_world_camera", believed), ("root", root), ("normals", normals)):
             if not np.all(np.isfinite(value)):
                 raise InvalidInput(f"{name} of a view holds a number that is not finite")
-        if not np.all(sigma > 0):
-            raise InvalidInput("sigma of tangent planes must be positive [rad]; infinite leaves one out")
+        if not np.all(sigma >= FINEST):
+            raise InvalidInput(
+                f"sigma of a tangent plane is {np.min(sigma):.3g}; accepted: positive angles from {FINEST:g} rad, infinite "
+                "ones to leave it out"
+            )
 
     def _start(self, first: Views) -> None:
         """The first view: its pose error is shared by all others, and in the map it has none itself."""
@@ -165,6 +186,10 @@ class ContourFilter:
     def _with(self, common: Array) -> SceneMap:
         """The map with what views share as it was found."""
         C = len(self._map.shared)
+        if self._scale_is_free and not abs(common[C + SCALE]) < COLLAPSED:
+            raise DegenerateGeometry(
+                "the views don't determine how large the scene is; accepted: views with a baseline"
+            )
         return replace(
             self._map, shared=common[:C] if self._scale_is_free else np.pad(common[: C - 2], (0, 2))
         )

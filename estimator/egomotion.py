@@ -135,10 +135,11 @@ def combined(prior: PosePrior, measured: PosePrior, known: np.ndarray) -> PosePr
     error = np.einsum("vij,vj->vi", gain, d) + mixed @ c
     variance = prior_variance - gain @ prior_variance
     variance = (variance + np.swapaxes(variance, 1, 2)) / 2
+    root = np.sqrt(excess) * square_root(variance)  # refuses what has overflowed
     root_c = np.linalg.cholesky(np.linalg.inv(precision))
     return PosePrior(
         prior.moved(error),
-        np.sqrt(excess) * square_root(variance),
+        root,
         np.sqrt(excess) * mixed @ root_c,
         prior.focal_sigma,
     )

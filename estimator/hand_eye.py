@@ -39,8 +39,10 @@ def hand_eye(
     A = T_base_flange[j].inv() * T_base_flange[i]
     B = T_camera_board[j] * T_camera_board[i].inv()
     clear = np.maximum(A.rotation.magnitude(), B.rotation.magnitude()) < LARGEST_TURN
-    _check_axes(A[clear].rotation.as_rotvec())
-    rotation = Rotation.align_vectors(A[clear].rotation.as_rotvec(), B[clear].rotation.as_rotvec())[0]
+    turns = A[clear].rotation.as_rotvec(), B[clear].rotation.as_rotvec()
+    _check_axes("flange", turns[0])
+    _check_axes("camera", turns[1])
+    rotation = Rotation.align_vectors(*turns)[0]
     T_flange_camera = RigidTransform.from_components(_translation(A, B, rotation), rotation)
     T_base_board = T_base_flange * T_flange_camera * T_camera_board
     return T_flange_camera, mean_pose(T_base_board)
@@ -70,12 +72,12 @@ def _check(T_base_flange: RigidTransform, T_camera_board: RigidTransform) -> Non
         )
 
 
-def _check_axes(turns: Array) -> None:
-    """Rotation vectors (n, 3) of the flange's motions must span two axes."""
+def _check_axes(name: str, turns: Array) -> None:
+    """Rotation vectors (n, 3) of motions must span two axes."""
     spread = np.linalg.svd(turns, compute_uv=False)[1] / np.sqrt(len(turns)) if len(turns) > 1 else 0.0
     if not spread > SMALLEST_TURN:
         most = np.degrees(norm(turns, axis=1).max(initial=0.0))
         raise DegenerateGeometry(
-            f"the views turn by up to {most:.1f} degrees, about a second axis by {np.degrees(spread):.2f} only; accepted: "
+            f"the {name} turns by up to {most:.1f} degrees, about a second axis by {np.degrees(spread):.2f} only; accepted: "
             f"rotations about at least two axes, {np.degrees(SMALLEST_TURN):.1f} degrees rms or more about each"
         )

@@ -226,7 +226,7 @@ def _moved(views: list[View], prior: PosePrior, adjustment: Adjustment) -> list[
     """The views with adjusted poses, and with what is uncertain about each pose by itself: errors that all views share move
     scene and cameras together, and don't matter to tracking. It stays as it was where the adjustment can't tell."""
     count, _, own = prior.root.shape
-    spread = adjustment.root[:, : count * own].reshape(-1, count, own)
+    spread = adjustment.root[:, : count * own].reshape(len(adjustment.root), count, own)
     spread = np.einsum("vik,uvk->viu", prior.root, spread)
     covariance = spread @ np.swapaxes(spread, 1, 2)
     return [

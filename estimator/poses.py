@@ -96,8 +96,10 @@ class PosePrior:
 def square_root(covariance: Array) -> Array:
     """Square roots (V, 6, K) of covariances (V, 6, 6), with as many columns as the largest rank.
 
-    Raises InvalidInput for a covariance that is not symmetric and positive semi-definite.
+    Raises InvalidInput for a covariance that is not finite, symmetric and positive semi-definite.
     """
+    if not np.all(np.isfinite(covariance)):
+        raise InvalidInput("a pose covariance holds a number that is not finite")
     # translations and rotations differ by orders of magnitude: compare each with its own kind
     scale = np.sqrt(
         np.max(np.diagonal(covariance, axis1=1, axis2=2).reshape(-1, 2, 3), axis=(0, 2), initial=0.0)

@@ -20,7 +20,7 @@ from math import factorial
 import numpy as np
 
 from extremal.estimator.camera import Array
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.estimates import OVERLAP
 from extremal.estimator.parallel_sections import kernels
 from extremal.estimator.pooling import window_sum
@@ -118,6 +118,7 @@ def fit_arcs(
 
     Raises:
         InvalidInput: shapes that do not fit, numbers that are not finite, sigma that is not positive.
+        DegenerateGeometry: a camera at a contact point, or numbers that overflow.
     """
     _check(origin, frame, normals, centres, sigma, shared, contour)
     local = np.einsum("nij,nvj->nvi", frame, normals)
@@ -134,6 +135,11 @@ def fit_arcs(
     moved, covariance, misfit = _robust(rows, data, alike, contour)
     common = moved[..., 1:]
     covariance = covariance + common @ np.swapaxes(common, 1, 2)
+    if not (np.all(np.isfinite(moved)) and np.all(np.isfinite(covariance))):
+        raise DegenerateGeometry(
+            f"arcs of sigma from {sigma.min():.2g} rad, {distance.min():.2g} to {distance.max():.2g} m from the cameras, are "
+            "beyond double precision; accepted: centres apart from the contact points"
+        )
     return Arcs(origin, frame, moved[..., 0], covariance, first, last, misfit), phi
 
 

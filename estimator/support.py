@@ -52,6 +52,8 @@ class Features(ABC):
         for name, values in (("normals", self.normals), ("origin", self.origin), ("frame", self.frame)):
             if not np.all(np.isfinite(values)):
                 raise InvalidInput(f"{name} of features hold a number that is not finite")
+        if not np.all(np.any(self.normals, axis=-1)):
+            raise InvalidInput("normals of features hold a vector of no length; accepted: unit vectors")
 
     def __len__(self) -> int:
         return len(self.order)

@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform
 
-from extremal.estimator.errors import SceneError
+from extremal.estimator.errors import InvalidInput, SceneError
 from extremal.scenes.curves import Appearance, Array, Piece, SurfaceCurve
 from extremal.scenes.grids import MEASURED, Facets
 from extremal.scenes.mjcf import Spec, add_pieces
+
+FARTHEST = 1e6  # [m] of a point that is asked about
+UNSETTLED = 1e-9  # [m] step of Newton's method after which a point is not found
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -158,8 +161,11 @@ class Surface(ABC):
     # Distances and rays.
 
     def signed_distance(self, points: ArrayLike) -> Array:
-        """Exact signed distance (...) [m] of points (..., 3), negative inside."""
-        p = self._local(points)
+        """Exact signed distance (...) [m] of points (..., 3), negative inside.
+
+        Raises InvalidInput for points that are not finite or absurdly far away.
+        """
+        p = self._local(_checked(points))
         return self._signed_distance(p.reshape(-1, 3)).reshape(p.shape[:-1])
 
     def intersect(self, origins: ArrayLike, directions: ArrayLike) -> Array:
@@ -184,9 +190,10 @@ class Surface(ABC):
     def contour_generator(self, centre: ArrayLike) -> list[SurfaceCurve]:
         """Curves on which the surface turns away from `centre` (3,): normal . (r - centre) = 0.
 
-        `visible` says where the surface is convex along the ray and the object does not hide itself.
+        `visible` says where the surface is convex along the ray and the object does not hide itself. Raises InvalidInput
+        for a centre that is not finite or absurdly far away.
         """
-        centre = np.asarray(centre, float)
+        centre = _checked(centre)
         curves = []
         for i, points in enumerate(self._contour(self._local(centre))):
             p = self._world(points)
@@ -223,7 +230,11 @@ class Surface(ABC):
             start: (N, 3) near the points.
             centre: (3,) camera centre.
             plane_normals: (N, 3) normals e of the planes.
+
+        Returns:
+            NaN where there is no such point near: a plane along the contour generator, or none at all.
         """
+        step = np.zeros(np.shape(start))
         c, p = self._local(centre), self._local(start)
         e = np.asarray(plane_normals, float) @ self._rotation
         for _ in range(30):
@@ -231,17 +242,28 @@ class Surface(ABC):
             ray = p - c
             residual = np.stack([self._level(p), np.sum(n * ray, -1), np.sum(e * ray, -1)], axis=-1)
             rows = np.stack([n, n + np.einsum("nij,nj->ni", S, ray), e], axis=-2)
+            rows[np.linalg.det(rows) == 0] = np.nan  # one point without a step is no error of the others
             step = np.linalg.solve(rows, residual[..., None])[..., 0]
             # Steps longer than 5 mm leave the region where the linear model means anything.
             step *= np.minimum(1, 5e-3 / np.maximum(np.linalg.norm(step, axis=-1, keepdims=True), 1e-300))
             p = p - step
-            if not np.max(np.abs(step), initial=0.0) > 1e-13:
+            if not np.any(np.abs(step) > 1e-13):
                 break
-        return self._world(p)
+        settled = np.all(np.abs(step) < UNSETTLED, axis=-1, keepdims=True)
+        return np.where(settled, self._world(p), np.nan)
 
     def add_to(self, spec: Spec, facets: Facets = MEASURED) -> None:
         """Add the object to a MuJoCo model: one fixed body, one visual mesh geom a colour."""
         add_pieces(spec, self.name, self.T_world_object, self.appearance, self._pieces(facets))
+
+
+def _checked(points: ArrayLike) -> Array:
+    p = np.asarray(points, float)
+    if not np.all(np.abs(p) <= FARTHEST):
+        raise InvalidInput(
+            f"a point is {p[~(np.abs(p) <= FARTHEST)][0]} m away; accepted: up to {FARTHEST:g}"
+        )
+    return p
 
 
 def tangent_basis(normals: Array) -> tuple[Array, Array]:

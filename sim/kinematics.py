@@ -24,6 +24,7 @@ HOME = np.array([0.23, -1.93, -2.37, 1.16, 1.55, 1.57])
 RESIDUAL = 1e-9  # accepted distance from the wanted pose [m] and [rad]
 MIN_SINGULAR_VALUE = 0.02  # of the Jacobian; below it the arm is at a singularity
 STEP_LENGTH, STEP_ANGLE = 0.04, 0.08  # along a path [m], [rad]
+REACH = 10.0  # [m] from its base: no arm like this, and no path there that would not be endless
 BRANCH_STEP = 0.6  # a joint that moves further in one step has changed its branch [rad]
 
 
@@ -91,6 +92,9 @@ class ArmKinematics:
         """
         if T_world_camera.single or not np.all(np.isfinite(T_world_camera.as_matrix())):
             raise InvalidInput("camera poses must be a path (V,) of finite transforms")
+        away = np.max(np.abs(T_world_camera.translation - self.T_world_base.translation), axis=1)
+        if not np.all(away < REACH):
+            self._fail(T_world_camera[int(np.argmax(away))], "out of reach")
         count = len(T_world_camera)
         middle = count // 2
         q = np.empty((count, 6))

@@ -79,7 +79,7 @@ def fixating(centres: ArrayLike, target: ArrayLike) -> RigidTransform:
     forward = target - centres
     right = np.cross(forward, [0.0, 0.0, 1.0])
     horizontal = np.linalg.norm(right, axis=1, keepdims=True)
-    if not np.all(horizontal > 1e-6):
+    if not np.all((horizontal > 1e-6) & (horizontal < np.inf)):
         raise InvalidInput(
             f"cameras at {centres.tolist()} can't look at {target.tolist()} upright; accepted: finite centres beside the target"
         )

@@ -5,6 +5,7 @@ import pytest
 import trimesh
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from extremal.estimator import InvalidInput
 from extremal.scenes import Box, Ellipsoid, Lathe, Mesh, Sphere, Superquadric, Surface
 
 POSE = RigidTransform.from_components(
@@ -203,3 +204,27 @@ def test_mesh_of_a_sphere_comes_near_it() -> None:
     assert np.abs(t[both] - exact[both])[square].max() < 5e-4
     p = POSE.translation + np.random.default_rng(6).normal(size=(100, 3)) * 0.04
     assert np.abs(mesh.signed_distance(p) - ball.signed_distance(p)).max() < 2e-4
+
+
+@pytest.mark.parametrize("solid", SOLIDS, ids=lambda s: s.name)
+def test_points_that_no_solver_finds_are_not_numbers(solid: Surface) -> None:
+    """One that has no step, or none that leads anywhere, leaves the other points alone."""
+    centre = POSE.apply([-0.5, 0.1, 0.2])
+    middle, radius = solid.bounding_sphere
+    level = np.cross(centre - middle, [0, 0, 1.0])
+    start = np.stack([middle + radius * level / np.linalg.norm(level), centre])
+    upright = np.tile(np.cross(centre - middle, level), (2, 1))
+    found = solid.contour_points_in_planes(start, centre, upright)
+    assert np.all(np.isnan(found[1]))  # from the camera's centre itself
+    (alone,) = solid.contour_points_in_planes(start[:1], centre, upright[:1])
+    np.testing.assert_allclose(found[0], alone, atol=1e-12)
+    assert np.all(np.isnan(solid.contour_points_in_planes(start[:1], centre, np.zeros((1, 3)))))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, 1e200])
+@pytest.mark.parametrize("solid", [*SOLIDS, Mesh.from_trimesh(trimesh.creation.box())], ids=lambda s: s.name)
+def test_points_that_are_nowhere_are_refused(solid: Surface, bad: float) -> None:
+    with pytest.raises(InvalidInput, match="accepted: up to"):
+        solid.signed_distance([[0.0, 0.0, bad]])
+    with pytest.raises(InvalidInput, match="accepted: up to"):
+        solid.contour_generator([0.0, 0.0, bad])

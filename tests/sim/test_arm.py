@@ -144,6 +144,18 @@ def test_out_of_reach() -> None:
         arm.joint_positions(RigidTransform.from_translation([[5.0, 0, 0]]))
 
 
+@pytest.mark.parametrize("far", [1e6, 1e300])
+def test_a_path_without_end_is_out_of_reach_at_once(far: float) -> None:
+    motion = LinearMotion(3)
+    arm, poses = (
+        ArmKinematics.behind(motion.centre(TARGET)),
+        motion.poses(TARGET, np.random.default_rng(0)).as_matrix(),
+    )
+    poses[2, 0, 3] = far
+    with pytest.raises(UnreachablePose, match="out of reach"):
+        arm.joint_positions(RigidTransform.from_matrix(poses))
+
+
 def test_bad_input() -> None:
     arm = ArmKinematics(RigidTransform.identity())
     with pytest.raises(ExtremalError, match="joint positions"):

@@ -65,3 +65,5 @@ def test_a_camera_straight_above_the_target_is_refused() -> None:
         fixating(TARGET[None] + [0, 0, 1], TARGET)
     with pytest.raises(InvalidInput, match="upright"):
         fixating([[np.nan, 0, 0]], TARGET)
+    with pytest.raises(InvalidInput, match="upright"), np.errstate(over="ignore"):
+        fixating([[1e300, 0.0, 0.0]], np.zeros(3))

@@ -16,12 +16,12 @@ from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput, RenderingError
 from extremal.sim.axes import swap_camera_axes
 from extremal.sim.backdrop import Backdrop
+from extremal.sim.buffers import SAMPLES, drawing_context, thread_context
 from extremal.sim.gl import select_backend
 from extremal.sim.quality import Quality, get_quality, sampling_matrix
 from extremal.sim.window import Window
 
 EYE = "eye"
-SAMPLES = 4  # of MSAA; llvmpipe offers no more
 NEAR = 0.02  # nearest distance that is drawn [m]
 WHITE = (1.0, 1.0, 1.0)
 FARTHEST = 1e5  # a camera may be from the world's origin [m]
@@ -57,14 +57,9 @@ class _Stage:
     backdrop: Backdrop | None
 
     @staticmethod
-    def of(model: mujoco.MjModel) -> "_Stage":
-        gl = mujoco.GLContext(64, 64)
-        try:
-            gl.make_current()
-            context = mujoco.MjrContext(model, int(mujoco.mjtFontScale.mjFONTSCALE_50))
-        except Exception:
-            gl.free()
-            raise
+    def of(model: mujoco.MjModel, width: int, height: int) -> "_Stage":
+        gl = thread_context()
+        context = drawing_context(model, width, height)
         scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
         backdrop = Backdrop.of(model)
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
@@ -76,8 +71,8 @@ class _Stage:
         return _Stage(gl, context, mujoco.MjData(model), scene, view, mujoco.MjvOption(), backdrop)
 
     def free(self) -> None:
+        self.gl.make_current()
         self.context.free()
-        self.gl.free()
 
 
 class FrameRenderer:
@@ -105,14 +100,11 @@ class FrameRenderer:
     def __enter__(self) -> Self:
         select_backend()
         model, (height, width) = self._model, self._window.shape
-        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
-        model.vis.quality.offsamples, model.vis.quality.shadowsize = SAMPLES, 0
         model.vis.map.znear = NEAR / model.stat.extent
         try:
-            self._stage = _Stage.of(model)
+            self._stage = _Stage.of(model, width, height)
         except Exception as error:
             raise RenderingError(f"no offscreen rendering of {width} x {height} px: {error}") from error
-        self._check_buffer(self._stage.context)
         return self
 
     def __exit__(
@@ -209,16 +201,6 @@ class FrameRenderer:
             size = "x".join(map(str, self._window.shape[::-1]))
             raise InvalidInput(
                 f"quality {self.quality.name} renders this camera at {size} px; accepted: sides up to {MAX_BUFFER} px"
-            )
-
-    def _check_buffer(self, context: mujoco.MjrContext) -> None:
-        """MuJoCo falls back in silence to what the driver can do."""
-        got = (context.offHeight, context.offWidth, context.offSamples)
-        wanted = (*self._window.shape, SAMPLES)
-        if got != wanted:
-            self.close()
-            raise RenderingError(
-                f"the offscreen buffer is (height, width, samples) = {got}; needed: {wanted}"
             )
 
 

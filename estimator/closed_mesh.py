@@ -59,7 +59,9 @@ class ClosedMesh:
         """(V, V), the cotangents' Laplacian of the mesh, positive semi-definite: applied to the vertices and divided by
         their areas, 2 H n (Pinkall and Polthier 1993)."""
         v, f, n = self.vertices, self.faces, len(self.vertices)
-        rows, columns, values = [], [], []
+        rows: list[NDArray[np.integer]] = []
+        columns: list[NDArray[np.integer]] = []
+        values: list[Array] = []
         sine = np.maximum(np.linalg.norm(self._crosses, axis=1), 1e-30)
         for k in range(3):
             i, j = f[:, (k + 1) % 3], f[:, (k + 2) % 3]
@@ -93,7 +95,10 @@ class ClosedMesh:
         """Vertices moved towards the middle of their neighbours, along the surface, and by a fraction across it."""
         mesh = self
         for _ in range(steps):
-            step = 0.5 * (mesh.neighbours @ mesh.vertices - mesh.vertices)
-            across = np.sum(step * mesh.normals, axis=1, keepdims=True) * mesh.normals
-            mesh = mesh.moved(mesh.vertices + step - (1 - along_normals) * across)
+            mesh = mesh._spread_once(along_normals)
         return mesh
+
+    def _spread_once(self, along_normals: float) -> "ClosedMesh":
+        step = 0.5 * (self.neighbours @ self.vertices - self.vertices)
+        across = np.sum(step * self.normals, axis=1, keepdims=True) * self.normals
+        return self.moved(self.vertices + step - (1 - along_normals) * across)

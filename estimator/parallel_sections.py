@@ -120,22 +120,28 @@ def feet(coefficients: Array, order: int, edgels: Edgels, phi: Array, x: Array) 
     Newton's method for n . d = 0 (the plane passes through the camera centre v) and (p x n) . d = 0 (p points to the
     foot), with d = c - v.
     """
-    p, one, zero = edgels.rays, np.ones_like(phi), np.zeros_like(phi)
     longest = STEP_X * np.max(np.abs(x), axis=1, keepdims=True) + 1e-6
     for _ in range(FOOT_STEPS):
-        j = jet(coefficients, phi, x, order)
-        n, d = in_section(one, zero, -j.x, phi), contact_point(j, phi, x) - edgels.centres
-        n_phi = in_section(zero, one, -j.px, phi)
-        sideways, turn = np.cross(p, n), np.cross(d, p)  # d . (p x m) = m . (d x p)
-        f1, f2 = np.sum(n * d, -1), np.sum(sideways * d, -1)
-        a, b = np.sum(n_phi * d, -1), -j.xx * d[..., 2]
-        c = np.sum(in_section(zero, j.g + j.pp, zero, phi) * sideways + turn * n_phi, -1)
-        e = np.sum(in_section(j.x, j.px, one, phi) * sideways, -1) - j.xx * turn[..., 2]
-        determinant = a * e - b * c
-        determinant = np.where(np.abs(determinant) > 1e-300, determinant, np.inf)
-        phi = phi - np.clip((e * f1 - b * f2) / determinant, -STEP_PHI, STEP_PHI)
-        x = x - np.clip((a * f2 - c * f1) / determinant, -longest, longest)
+        phi, x = _nearer(jet(coefficients, phi, x, order), edgels, phi, x, longest)
     return phi, x
+
+
+def _nearer(j: Jet, edgels: Edgels, phi: Array, x: Array, longest: Array) -> tuple[Array, Array]:
+    """(phi, x) (n, M) after a step of Newton's method, no longer than STEP_PHI and `longest` (n, 1)."""
+    p, one, zero = edgels.rays, np.ones_like(phi), np.zeros_like(phi)
+    n, d = in_section(one, zero, -j.x, phi), contact_point(j, phi, x) - edgels.centres
+    n_phi = in_section(zero, one, -j.px, phi)
+    sideways, turn = np.cross(p, n), np.cross(d, p)  # d . (p x m) = m . (d x p)
+    f1, f2 = np.sum(n * d, -1), np.sum(sideways * d, -1)
+    a, b = np.sum(n_phi * d, -1), -j.xx * d[..., 2]
+    c = np.sum(in_section(zero, j.g + j.pp, zero, phi) * sideways + turn * n_phi, -1)
+    e = np.sum(in_section(j.x, j.px, one, phi) * sideways, -1) - j.xx * turn[..., 2]
+    determinant = a * e - b * c
+    determinant = np.where(np.abs(determinant) > 1e-300, determinant, np.inf)
+    return (
+        phi - np.clip((e * f1 - b * f2) / determinant, -STEP_PHI, STEP_PHI),
+        x - np.clip((a * f2 - c * f1) / determinant, -longest, longest),
+    )
 
 
 def contact_point(j: Jet, phi: Array, x: Array) -> Array:

@@ -285,7 +285,7 @@ def test_a_refusal_leaves_no_parent_folders(folder: Path, here: Command) -> None
 def test_what_else_lies_in_the_folder_is_left_alone(folder: Path, here: Command) -> None:
     (folder / "foreign" / "frames").mkdir()
     (folder / "foreign" / "frames" / "keep.png").write_text("mine")
-    assert here(folder, "--out", "foreign").status == 0
+    assert here(folder, "--scene", "sphere", "--out", "foreign").status == 0
     assert (folder / "foreign" / "thesis.txt").read_text() == "years of work"
     assert {p.name for p in (folder / "foreign").iterdir()} == {
         "thesis.txt",
@@ -294,7 +294,7 @@ def test_what_else_lies_in_the_folder_is_left_alone(folder: Path, here: Command)
         "look.png",
         "frames",
     }
-    assert here(folder, "--out", "foreign", "--views", "4").status == 0
+    assert here(folder, "--scene", "sphere", "--out", "foreign", "--views", "4").status == 0
     names = {p.name for p in (folder / "foreign" / "frames").iterdir()}
     assert names == {"keep.png", "000.png", "001.png", "002.png", "003.png"}
 

@@ -63,7 +63,12 @@ class Camera:
         """Intrinsic matrix K (3, 3)."""
         return np.array([[self.fx, 0, self.cx], [0, self.fy, self.cy], [0, 0, 1.0]])
 
-    @property
+    @cached_property
+    def _pixel_scale(self) -> tuple[Array, Array]:
+        """(fx, fy) and (cx, cy): arrays, which cost as much to make as a few points to project."""
+        return np.array([self.fx, self.fy]), np.array([self.cx, self.cy])
+
+    @cached_property
     def is_distorted(self) -> bool:
         return any(self.distortion)
 
@@ -90,8 +95,8 @@ class Camera:
     def project(self, p_camera: ArrayLike) -> Array:
         """Pixels (..., 2) of points (..., 3) [m] in the camera frame; NaN for points behind the camera."""
         p = np.asarray(p_camera, float)
-        z = np.where(p[..., 2:] > 0, p[..., 2:], np.nan)
-        return self.distort(p[..., :2] / z)
+        z = p[..., 2:]
+        return self.distort(p[..., :2] / np.where(z > 0, z, np.nan))
 
     def distort(self, normalised: ArrayLike) -> Array:
         """Pixels (..., 2) of ideal image coordinates (..., 2) = (X/Z, Y/Z) (Brown-Conrady)."""
@@ -108,7 +113,8 @@ class Camera:
                 ],
                 axis=-1,
             )
-        return xy * (self.fx, self.fy) + (self.cx, self.cy)
+        focal, middle = self._pixel_scale
+        return xy * focal + middle
 
     def normalise(self, pixels: ArrayLike) -> Array:
         """Ideal image coordinates (..., 2) = (X/Z, Y/Z) of pixels (..., 2); the inverse of `distort`."""

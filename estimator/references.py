@@ -51,6 +51,7 @@ def bootstrap(
     contour: np.ndarray,
     prior: Array | float = 0.5,
     overlap: float = 1.0,
+    most: float = np.inf,
 ) -> References:
     """Find the fixed features among n, given radii of curvature with their joint covariance.
 
@@ -60,8 +61,11 @@ def bootstrap(
         contour: (n,) the contour of each feature, in order along it (a contour of its own for a point).
         prior: (n,) probability of being fixed, from what else is known.
         overlap: number of neighbours along a contour that repeat each other's errors.
+        most: independent features as which a contour counts, at most, where features are tried. All radii of a limb of one
+            curvature may be zero as well, in other poses, so that its features tell little of each other.
 
-    Raises InvalidInput for shapes that do not fit.
+    Raises InvalidInput for shapes that do not fit, known rows of numbers that are not finite or of no variance, and overlap or
+    most below 1.
     """
     n = len(radius)
     if own_variance.shape != (n,) or shared.shape[:1] != (n,) or shared.ndim != 2 or contour.shape != (n,):
@@ -69,20 +73,37 @@ def bootstrap(
             f"radius {radius.shape}, own_variance {own_variance.shape}, shared {shared.shape} and contour {contour.shape} "
             "do not fit; accepted: (n,), (n,), (n, any), (n,)"
         )
-    known = np.isfinite(own_variance)
+    known, prior = np.isfinite(own_variance), np.broadcast_to(np.asarray(prior, float), (n,))
+    _check(radius[known], own_variance[known], shared[known], prior[known], overlap, most)
     problem = _Problem(
         radius[known],
         own_variance[known],
         shared[known],
         contour[known],
-        np.clip(np.broadcast_to(np.asarray(prior, float), (n,))[known], 0.01, 0.99),
+        np.clip(prior[known], 0.01, 0.99),
         overlap,
+        most,
     )
     fixed, probability = np.zeros(n, bool), np.zeros(n)
     best, spread = radius.copy(), np.full(n, np.inf)
     if known.any():
         fixed[known], probability[known], best[known], spread[known] = problem.solve()
     return References(fixed, probability, best, spread)
+
+
+def _check(radius: Array, own: Array, shared: Array, prior: Array, overlap: float, most: float) -> None:
+    if not np.all(own > 0):
+        raise InvalidInput(
+            f"own_variance holds {own.min()}; accepted: positive numbers [m^2], infinite ones to leave out"
+        )
+    with np.errstate(over="ignore"):
+        squares = radius**2 / own + np.sum(shared**2, axis=1) + prior
+    if not np.all(np.isfinite(squares)):
+        raise InvalidInput("radius, shared or prior hold a number that is not finite, or whose square is not")
+    if not 1 <= overlap < np.inf:
+        raise InvalidInput(f"overlap is {overlap!r}; accepted: a number from 1")
+    if not most >= 1:
+        raise InvalidInput(f"most is {most!r}; accepted: a number from 1")
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +114,7 @@ class _Problem:
     contour: np.ndarray
     prior: Array
     overlap: float
+    most: float
     known: dict[bytes, tuple[Array, Array, Array]] = field(default_factory=dict)  # what was judged
 
     def solve(self) -> tuple[np.ndarray, Array, Array, Array]:
@@ -156,7 +178,13 @@ class _Problem:
         others = np.logaddexp(*self.densities(self.radius - gain * radius[:, None], total - gain * common))
         others[np.arange(len(trials)), trials] = 0.0
         own = np.log(self.prior[trials]) - 0.5 * radius**2 / total[trials] - 0.5 * np.log(total[trials])
-        return np.sum(others, axis=1) / self.overlap + own
+        return others @ self.weight + own
+
+    @cached_property
+    def weight(self) -> Array:
+        """Independent features (n,) as which each counts."""
+        _, which, count = np.unique(self.contour, return_inverse=True, return_counts=True)
+        return 1 / np.maximum(self.overlap, count / self.most)[which]
 
     def densities(self, mean: Array, variance: Array) -> tuple[Array, Array]:
         """Log of prior times density (..., n) of the radius of a fixed feature and of any other."""

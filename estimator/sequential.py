@@ -138,18 +138,22 @@ class SequentialShape:
         rays, sigma = tracks.rays[chosen], tracks.sigma[chosen]
         self._circles = CircleFilter(self._planes, rays[:, middle], distance, sigma[:, middle])
         for i, view in enumerate(views):
+            pose_sigma = sequence.pose_sigma(i, distance)
             if i != middle:
-                total = np.hypot(sigma[:, i], sequence.pose_sigma(i, distance))
+                total = np.hypot(sigma[:, i], pose_sigma)
                 self._circles.update(tracks.seen[chosen, i], view.centre, rays[:, i], total, sections.origin)
-            self._absorb(view, sections.normals[:, 0, i], sections.sigma[:, 0, i])
+            slid = _slid(tracks.curvature[chosen, i], pose_sigma * view.camera.fx) / view.camera.fx
+            self._absorb(view, sections.normals[:, 0, i], np.hypot(sections.sigma[:, 0, i], slid))
         tangents = tracks.tangents[chosen]
         bright = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
         self._direction = bright @ sequence.rotations[middle][:, :2].T
         self.started, self._waiting = True, []
 
-    def _absorb(self, view: View, normals: Array, sigma: Array) -> None:
+    def _absorb(self, view: View, normals: Array, sigma: Array) -> np.ndarray:
+        """Take in tangent planes of a view, and say which (n,) are of other contours, by what is known: of none, here."""
         self._views += np.isfinite(sigma)
         self._filter.update(view.T_world_camera, _root(view), normals, sigma)
+        return np.zeros(len(sigma), bool)
 
     def _follow(self, view: View, contours: Contours) -> None:
         """Match the tracks with the contours of a view."""
@@ -158,20 +162,22 @@ class SequentialShape:
         distance = np.linalg.norm(points - view.centre, axis=1)
         edgels = EdgelMap(contours, view.camera.width, view.camera.height, self._reach)
         found = cross(sequence, contours, edgels, 0, self._planes, points, self._direction, self._loose)
-        sigma = np.hypot(found.sigma, sequence.pose_sigma(0, distance))
+        pose_sigma = sequence.pose_sigma(0, distance)
+        sigma = np.hypot(found.sigma, pose_sigma)
         gate = LEAST_GATE / view.camera.fx + GATE * np.hypot(spread, sigma)
         ok = found.found & (np.abs(self._circles.innovation(view.centre, points, found.rays)) < gate)
         ok = in_step(ok, view, points, found.tangent_planes @ sequence.rotations[0])
-        self._circles.update(ok, view.centre, found.rays, sigma, points)
-        self._direction = np.where(ok[:, None], found.directions, self._direction)
-        self._pixels = np.where(ok[:, None], found.pixels, self._pixels)
         across = np.cross(found.rays, self._planes.normal)
         across *= np.where(across @ self._travel < 0, -1.0, 1.0)[:, None]
         tilt = np.sum(found.tangent_planes * across, axis=1) / np.linalg.norm(across, axis=1)
         normals = found.tangent_planes * np.where(tilt < 0, -1.0, 1.0)[:, None]
-        ok &= np.abs(tilt) > PARALLEL
-        in_camera = normals @ sequence.rotations[0]
-        self._absorb(view, in_camera, np.where(ok, np.where(ok, found.sigma, 1.0) * np.abs(tilt), np.inf))
+        told = ok & (np.abs(tilt) > PARALLEL)
+        slid = _slid(found.curvature, pose_sigma * view.camera.fx) / view.camera.fx
+        turned = np.hypot(np.where(told, found.sigma, 1.0) * np.abs(tilt), slid)
+        ok &= ~self._absorb(view, normals @ sequence.rotations[0], np.where(told, turned, np.inf))
+        self._circles.update(ok, view.centre, found.rays, sigma, points)
+        self._direction = np.where(ok[:, None], found.directions, self._direction)
+        self._pixels = np.where(ok[:, None], found.pixels, self._pixels)
 
     def bootstrap(self) -> None:
         """Find the references among the points and set `fixed` (see `references`). Of use once the baseline tells radii apart.
@@ -245,6 +251,12 @@ def in_step(ok: np.ndarray, view: View, points: Array, normals: Array) -> np.nda
     alike = np.zeros_like(ok)
     alike[rows] = np.abs(left) < LEAST_GATE / view.camera.fx + GATE * scale
     return alike
+
+
+def _slid(curvature: Array, pose_sigma: Array) -> Array:
+    """Standard deviation (n,) [px] across contours of a curvature (n,) [1/px], where planes cross them that are believed to lie
+    elsewhere, by pose_sigma (n,) [px]: of curvature d^2 / 2, d ~ N(0, pose_sigma^2)."""
+    return np.sqrt(0.75) * np.abs(curvature) * pose_sigma**2
 
 
 def _alone(view: View, travel: Array) -> Sequence3D:

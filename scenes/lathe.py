@@ -108,19 +108,20 @@ class Lathe(Surface):
         rho = max(float(np.hypot(centre[0], centre[1])), 1e-9)
         theta_c = float(np.arctan2(centre[1], centre[0]))
 
-        def q(z: Array) -> Array:
-            r, r1, _ = self.profile.derivatives(z)
+        def q(z: Array, r: Array, r1: Array) -> Array:
             return (r - r1 * (z - centre[2])) / rho
 
         curves = []
-        for lo, hi, opens_low, opens_high in _intervals(q, self.profile.height):
-            curves += self._branches(q, theta_c, lo, hi, opens_low, opens_high)
+        for lo, hi, opens_low, opens_high in self._intervals(q):
+            z = self._heights(lo, hi, opens_low, opens_high)
+            r, r1 = self.profile.slopes(z)
+            angle = np.arccos(np.clip(q(z, r, r1), -1, 1))
+            right, left = (_ring(r, theta_c + side * angle, z) for side in (-1, 1))
+            curves += _joined(right, left, opens_low, opens_high)
         return curves
 
-    def _branches(
-        self, q: Callable[[Array], Array], theta_c: float, lo: float, hi: float, low_end: bool, high_end: bool
-    ) -> list[Array]:
-        """The two branches over lo <= z <= hi, joined at the ends (`*_end` false) where |q| = 1."""
+    def _heights(self, lo: float, hi: float, low_end: bool, high_end: bool) -> Array:
+        """Samples of lo <= z <= hi, whose ends are not ends of the profile (`*_end` false) where |q| = 1."""
         count = arc_samples((hi - lo) + 4 * self.profile.largest, 4e-4)
         # Near |q| = 1 the azimuth goes with the square root of z: cosine spacing there makes the points regular.
         u = np.linspace(0, 1, count)
@@ -132,20 +133,37 @@ class Lathe(Surface):
             s = 1 - np.cos(np.pi / 2 * u)
         else:
             s = (1 - np.cos(np.pi * u)) / 2
-        z = lo + (hi - lo) * s
-        angle = np.arccos(np.clip(q(z), -1, 1))
-        right, left = (self._side(z, theta_c + side * angle) for side in (-1, 1))
-        if low_end and high_end:
-            return [right, left]
-        if low_end:
-            return [np.concatenate([right, left[-2::-1]])]
-        if high_end:
-            return [np.concatenate([right[::-1], left[1:]])]
-        return [np.concatenate([right, left[-2::-1]])]
+        return lo + (hi - lo) * s
+
+    @cached_property
+    def _scanned(self) -> tuple[Array, Array, Array]:
+        """Even heights from end to end, r and r' there."""
+        z = np.linspace(0, self.profile.height, 2001)
+        return z, *self.profile.slopes(z)
+
+    def _intervals(self, q: Callable[[Array, Array, Array], Array]) -> list[tuple[float, float, bool, bool]]:
+        """Intervals (lo, hi) of the profile where |q(z, r, r')| <= 1, and whether each end is an end of the profile."""
+        z, r, r1 = self._scanned
+        values, height, cuts = q(z, r, r1), self.profile.height, [0.0]
+
+        def at(x: float) -> float:
+            return float(q(np.array(x), *self.profile.slopes(np.array(x))))
+
+        for bound in (-1.0, 1.0):
+            f = values - bound
+            cuts += [
+                float(brentq(lambda x, b=bound: at(x) - b, z[i], z[i + 1], xtol=1e-15))  # pyright: ignore[reportArgumentType]
+                for i in np.nonzero(f[:-1] * f[1:] < 0)[0]
+            ]
+        cuts = [*sorted(cuts), height]
+        return [
+            (lo, hi, lo == 0.0, hi == height)
+            for lo, hi in pairwise(cuts)
+            if hi > lo and abs(at((lo + hi) / 2)) <= 1
+        ]
 
     def _side(self, z: Array, theta: Array) -> Array:
-        r = self.profile.spline(z)
-        return np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1)
+        return _ring(self.profile.spline(z), theta, z)
 
     def _fixed(self) -> list[SurfaceCurve]:
         top = self.profile.height
@@ -186,20 +204,15 @@ class Lathe(Surface):
         return lathe_pieces(self.profile, self.appearance.rgba, self.markings, facets)
 
 
-def _intervals(q: Callable[[Array], Array], height: float) -> list[tuple[float, float, bool, bool]]:
-    """Intervals (lo, hi) of [0, height] where |q| <= 1, and whether each end is an end of the profile."""
-    z = np.linspace(0, height, 2001)
-    values = q(z)
-    cuts = [0.0]
-    for bound in (-1.0, 1.0):
-        f = values - bound
-        cuts += [
-            float(brentq(lambda x, b=bound: q(x) - b, z[i], z[i + 1], xtol=1e-15))  # pyright: ignore[reportArgumentType]
-            for i in np.nonzero(f[:-1] * f[1:] < 0)[0]
-        ]
-    cuts = [*sorted(cuts), height]
-    return [
-        (lo, hi, lo == 0.0, hi == height)
-        for lo, hi in pairwise(cuts)
-        if hi > lo and abs(q(np.array((lo + hi) / 2))) <= 1
-    ]
+def _ring(r: Array, theta: Array, z: Array) -> Array:
+    """Points (..., 3) at radii, azimuths and heights (...)."""
+    return np.stack([r * np.cos(theta), r * np.sin(theta), z], axis=-1)
+
+
+def _joined(right: Array, left: Array, low_end: bool, high_end: bool) -> list[Array]:
+    """Two branches (n, 3), upwards, joined at the ends (`*_end` false) where they meet."""
+    if low_end and high_end:
+        return [right, left]
+    if high_end:
+        return [np.concatenate([right[::-1], left[1:]])]
+    return [np.concatenate([right, left[-2::-1]])]

@@ -62,6 +62,11 @@ class Profile:
         z = np.clip(z, 0, self.height)
         return self.spline(z), self.spline(z, 1), self.spline(z, 2)
 
+    def slopes(self, z: Array) -> tuple[Array, Array]:
+        """r and r' (...) at heights (...), held at the ends' heights outside."""
+        z = np.clip(z, 0, self.height)
+        return self.spline(z), self.spline(z, 1)
+
     def nearest(self, rho: Array, z: Array) -> Array:
         """Heights (N,) of the profile's points nearest to points (rho, z) of the meridian plane.
 

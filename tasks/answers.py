@@ -1,5 +1,6 @@
 """Answers about a contour: what it is, how curved, where; and how good an answer is."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,12 +71,12 @@ def contact_from(eye: Vector, points: Array, normals: Array, radii: Array) -> Ar
 def _slid(eye: Vector, point: Vector, normal: Vector, radius: float) -> Vector:
     centre = plus(point, -radius, normal)
     away = plus(centre, -1.0, eye)
-    share = radius / max(dot(away, away) ** 0.5, LEAST)
+    share = radius / max(math.sqrt(dot(away, away)), LEAST)
     along = unit(away)
     across = plus(normal, -dot(normal, along), along)
-    if abs(share) >= 1 or dot(across, across) ** 0.5 < ALONG:
+    if abs(share) >= 1 or math.sqrt(dot(across, across)) < ALONG:
         return point
-    return plus(plus(centre, -radius * share, along), radius * (1 - share * share) ** 0.5, unit(across))
+    return plus(plus(centre, -radius * share, along), radius * math.sqrt(1 - share * share), unit(across))
 
 
 def crps(mean: float, sigma: float, value: float) -> float:

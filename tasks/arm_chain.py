@@ -91,11 +91,39 @@ def reached(chain: Chain, q: Array, goal: Array, residual: float, longest: float
 
 
 @compiled
+def straight(
+    chain: Chain,
+    q: Array,
+    poses: Array,
+    limits: Array,
+    residual: float,
+    longest: float,
+) -> tuple[Array, int]:
+    """Joint positions (K + 1, 6) from q (6,) on, at which the flange goes through poses (K, 4, 4), and how many of these it reaches: up to
+    a residual [m], [rad], in steps shorter than `longest` [rad], within limits (6, 2).
+
+    Raises LinAlgError at a singularity.
+    """
+    path = np.empty((len(poses) + 1, 6))
+    path[0] = q
+    for i in range(len(poses)):
+        after, found = reached(chain, path[i], poses[i], residual, 2 * longest)
+        for j in range(6):
+            found = (
+                found and limits[j, 0] <= after[j] <= limits[j, 1] and abs(after[j] - path[i, j]) <= longest
+            )
+        if not found:
+            return path, i
+        path[i + 1] = after
+    return path, len(poses)
+
+
+@compiled
 def line(start: Array, end: Array, spacing: float, turn: float) -> Array:
     """Poses (K, 4, 4) after `start` on the straight line to `end`, both (4, 4), `spacing` [m] and `turn` [rad] apart at most."""
     way = plus(_column(end, 3), -1.0, _column(start, 3))
     turned = rotation_vector(product(inverse(start), end))
-    count = math.ceil(max(dot(way, way) ** 0.5 / spacing, dot(turned, turned) ** 0.5 / turn, 1.0))
+    count = math.ceil(max(math.sqrt(dot(way, way)) / spacing, math.sqrt(dot(turned, turned)) / turn, 1.0))
     out = np.empty((count, 4, 4))
     for i in range(count):
         s = (i + 1) / count

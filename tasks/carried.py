@@ -71,18 +71,18 @@ class CarriedCamera:
             geometry,
             start * off * start.inv(),
             mounting,
-            np.pad(root, ((0, 0), (0, 6 - root.shape[1]))),
+            np.ascontiguousarray(np.pad(root, ((0, 0), (0, 6 - root.shape[1])))),
             scatter,
             (bias.hand_eye_position, bias.hand_eye_rotation),
         )
 
     def actual(self, T_world_camera: Array, rng: np.random.Generator) -> Array:
         """Where (4, 4) the camera goes when it is commanded to a pose (4, 4)."""
-        return _reached(self._world, T_world_camera, self._mounted, self.root @ rng.standard_normal(6))
+        return _reached(self._world, T_world_camera, self._mounted, self.root, rng.standard_normal(6))
 
     @cached_property
     def _world(self) -> Array:
-        return self.world.as_matrix()
+        return np.ascontiguousarray(self.world.as_matrix())
 
     @cached_property
     def _mounted(self) -> Array:
@@ -90,7 +90,11 @@ class CarriedCamera:
 
 
 @compiled
-def _reached(world: Array, commanded: Array, mounting: Array, z: Array) -> Array:
-    """D T_commanded exp(h) exp(z), of twists z (6,) (translation [m], rotation vector [rad])."""
+def _reached(world: Array, commanded: Array, mounting: Array, root: Array, normal: Array) -> Array:
+    """D T_commanded exp(h) exp(z), of twists z = root normal (6,) (translation [m], rotation vector [rad])."""
+    z = np.zeros(6)
+    for i in range(6):
+        for j in range(6):
+            z[i] += root[i, j] * normal[j]
     off = exponential((z[0], z[1], z[2]), (z[3], z[4], z[5]))
     return product(product(product(world, commanded), mounting), off)

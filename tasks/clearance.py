@@ -1,5 +1,6 @@
 """How near a sphere comes to the objects of a scene."""
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -15,11 +16,16 @@ from extremal.tasks.triples import Vector, dot, plus, put, row
 CHECKED = 0.004  # [m] between points of a step at which distance is measured
 
 
+@compiled
 def between(start: Array, end: Array) -> Array:
     """Points (n, 3) of a step, CHECKED apart, its end the last."""
-    way = end - start
-    count = 1 + int(np.sqrt(way @ way) / CHECKED)
-    return start + (np.arange(1, count + 1) / count)[:, None] * way
+    a = start[0], start[1], start[2]
+    way = plus((end[0], end[1], end[2]), -1.0, a)
+    count = 1 + int(math.sqrt(dot(way, way)) / CHECKED)
+    out = np.empty((count, 3))
+    for i in range(count):
+        put(out, i, plus(a, (i + 1) / count, way))
+    return out
 
 
 class Clearance:
@@ -43,7 +49,7 @@ class Clearance:
     def take_in(self, points: Array) -> None:
         """The centre comes through points (n, 3) [m], in this order."""
         self._least, untold = _approach(self._solids, self._last, self._meridians, points, self._least)
-        for k in np.flatnonzero(untold):
+        for k in np.flatnonzero(untold) if untold.any() else ():
             found = self._surfaces[k].signed_distance(points)
             self._last.least[k], self._least = found[-1], min(self._least, float(found.min()))
 
@@ -117,7 +123,7 @@ def _bound(solids: Solids, last: _Last, k: int, points: Array) -> float:
         if last.touched[k]:
             y = local(solids, k, row(points, i))
             ahead = min(ahead, dot(plus(y, -1.0, row(last.foot, k)), row(last.normal, k)))
-    bound = last.least[k] + (low**0.5 if last.centred[k] else -(high**0.5))
+    bound = last.least[k] + (math.sqrt(low) if last.centred[k] else -(math.sqrt(high)))
     return max(bound, ahead) if last.touched[k] else bound
 
 

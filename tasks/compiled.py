@@ -23,8 +23,11 @@ _MADE_FROM = _KEPT / "compiled.sha256"
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """The function as machine code, kept on disk between runs; to rounding the same on every machine (no fastmath)."""
-    return njit(cache=True)(function)
+    """The function as machine code, kept on disk between runs; to rounding the same on every machine (no fastmath).
+
+    Divisions by zero give infinite numbers or NaN, as numpy's do: to look out for them would take a tenth of a step.
+    """
+    return njit(cache=True, error_model="numpy")(function)
 
 
 def _sources() -> str:

@@ -4,6 +4,7 @@ Limbs: level(r) = 0, n.(r - v) = 0 and e.(r - v) = 0 on the surface, as in `Surf
 e.(r(u) - v) = 0 along the polyline.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -159,7 +160,7 @@ def _on_limb(
     for _ in range(ITERATIONS):
         F, g, turn = differential(solids, k, p, ray)
         step = _solved((g, plus(g, 1.0, turn), e), (F, dot(g, ray), dot(e, ray)))
-        size = dot(step, step) ** 0.5
+        size = math.sqrt(dot(step, step))
         p = plus(p, -min(1.0, LONGEST_STEP / max(size, LEAST_DETERMINANT)), step)
         ray = plus(p, -1.0, c)
         if not size > CONVERGED:
@@ -232,20 +233,23 @@ def sampled_curves(
     curves: FixedCurves, every: int, centre: Vector
 ) -> tuple[Array, NDArray[np.integer], Array, Array, NDArray[np.bool_]]:
     """Samples of fixed curves, n in all: u (n,), curves (n,), points (n, 3), normals of tangent planes (n, 3) through a centre [m],
-    and whether (n,) a face beside them looks there."""
+    and whether (n,) a face beside them looks there; zero normals where none does."""
     n = (len(curves.points) + every - 1) // every
     u, curve, ok = np.empty(n), np.zeros(n, np.int64), np.empty(n, np.bool_)
-    points, normals = np.empty((n, 3)), np.empty((n, 3))
+    points, normals = np.empty((n, 3)), np.zeros((n, 3))
     c = 0
     for j in range(n):
         while j * every > curves.last[c]:
             c += 1
-        u[j], curve[j] = j * every, c
-        point, chord = _on_polyline(curves, c, u[j])
+        i = j * every
+        u[j], curve[j], point = i, c, row(curves.points, i)
         ray = plus(point, -1.0, centre)
         put(points, j, point)
-        put(normals, j, unit(crossed(ray, chord)))
-        ok[j] = _faces(curves, _segment(curves, c, u[j]), ray)
+        i = min(i, curves.last[c] - 1)
+        ok[j] = _faces(curves, i, ray)
+        if ok[j]:
+            chord = plus(row(curves.points, i + 1), -1.0, row(curves.points, i))
+            put(normals, j, unit(crossed(ray, chord)))
     return u, curve, points, normals, ok
 
 

@@ -24,7 +24,7 @@ def from_box(half: Array, p: Vector) -> float:
     beyond = 0.0
     for j in range(3):
         beyond += max(abs(p[j]) - half[j], 0.0) ** 2
-    return beyond**0.5
+    return math.sqrt(beyond)
 
 
 @compiled
@@ -63,7 +63,7 @@ def nearest(solids: Solids, k: int, start: Vector, y: Vector) -> tuple[Vector, V
     x = n = start
     for _ in range(ITERATIONS):
         F, g, _ = differential(solids, k, x, x)
-        steep = max(dot(g, g) ** 0.5, 1e-300)
+        steep = max(math.sqrt(dot(g, g)), 1e-300)
         n = times(1 / steep, g)
         u, v = tangents(n)
         Su = times(1 / steep, differential(solids, k, x, u)[2])

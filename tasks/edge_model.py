@@ -1,5 +1,6 @@
 """Errors of edges in images, as the vision pipeline makes them: for sensors that render no images."""
 
+import math
 from dataclasses import dataclass, fields
 
 import numpy as np
@@ -7,6 +8,7 @@ from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
+from extremal.tasks.compiled import compiled
 
 
 @dataclass(frozen=True)
@@ -52,8 +54,8 @@ class EdgeModel:
 
     def next_bias(self, bias: Array, turn: float, rng: np.random.Generator) -> Array:
         """Biases (n,) [px] after the line of sight has turned [rad]."""
-        kept = np.exp(-turn / self.bias_turn)
-        return kept * bias + self.bias_px * np.sqrt(1 - kept**2) * rng.standard_normal(len(bias))
+        kept = math.exp(-turn / self.bias_turn)
+        return kept * bias + (self.bias_px * math.sqrt(1 - kept * kept)) * rng.standard_normal(len(bias))
 
     def noise(self, fixed: NDArray[np.bool_]) -> Array:
         """Standard deviations (n,) [px] of edges that are `fixed` or not."""
@@ -61,11 +63,20 @@ class EdgeModel:
 
     def draw(self, bias: Array, noise: Array, rng: np.random.Generator) -> tuple[Array, NDArray[np.bool_]]:
         """Errors (n,) [px] of one view, of biases and sigma of the noise (n,) [px], and whether (n,) the edges are found. Always draws as much from `rng`."""
-        normal, chance = rng.standard_normal((2, len(bias))), rng.uniform(size=(2, len(bias)))
-        false = chance[0] < self.outlier
-        return np.where(false, self.outlier_px * normal[1], bias + noise * normal[0]), (
-            chance[1] >= self.dropout
-        )
+        normal, chance = rng.standard_normal((2, len(bias))), rng.random((2, len(bias)))
+        return _drawn(bias, noise, normal, chance, self.outlier, self.outlier_px, self.dropout)
+
+
+@compiled
+def _drawn(
+    bias: Array, noise: Array, normal: Array, chance: Array, outlier: float, outlier_px: float, dropout: float
+) -> tuple[Array, NDArray[np.bool_]]:
+    """What `EdgeModel.draw` makes of normal and uniform numbers (2, n)."""
+    error, found = np.empty(len(bias)), np.empty(len(bias), np.bool_)
+    for i in range(len(bias)):
+        error[i] = outlier_px * normal[1, i] if chance[0, i] < outlier else bias[i] + noise[i] * normal[0, i]
+        found[i] = chance[1, i] >= dropout
+    return error, found
 
 
 PREVIEW = EdgeModel()

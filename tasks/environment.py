@@ -19,6 +19,7 @@ from extremal.tasks.carried import CarriedCamera, whole_error
 from extremal.tasks.eye import Eye
 from extremal.tasks.features import with_mounting
 from extremal.tasks.overlay import picture
+from extremal.tasks.rigid import is_finite
 from extremal.tasks.sensors import make_sensor
 from extremal.tasks.spaces import (
     checked_action,
@@ -210,7 +211,7 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
 
     def _look(self) -> None:
         seen = self._sensor.look(self.T_actual, self.T_commanded, self.robot.covariance)
-        if np.isnan(seen.radius[np.isfinite(seen.sigma_radius)]).any() or np.isnan(seen.position).any():
+        if not seen.make_sense():
             raise NonsenseObserved(
                 "a feature has no number for its radius or position; accepted: finite ones"
             )
@@ -265,6 +266,6 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
 def _finite(observation: Observation) -> Observation:
     """The same observation; NonsenseObserved where a number of it is not finite."""
     for name, values in observation.items():
-        if not np.isfinite(values).all():
+        if values.dtype != np.uint8 and not is_finite(values):
             raise NonsenseObserved(f"{name!r} of the observation is not finite; accepted: finite numbers")
     return observation

@@ -4,8 +4,9 @@ Two sensors have one interface. `RenderedSensor` looks at rendered frames throug
 the errors of edges from a model instead. Both follow the same rules (`track_sets`, `section_tracks`).
 """
 
-from dataclasses import dataclass, fields, replace
-from typing import Protocol
+import math
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +15,8 @@ from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.sequential import CONFIDENCE
 from extremal.scenes import Scene
+from extremal.tasks.compiled import compiled
+from extremal.tasks.triples import Vector, dot, plus, row
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +54,12 @@ class Features:
     views: NDArray[np.integer]
 
     def __post_init__(self) -> None:
-        n = len(self.radius)
+        n, values = len(self.radius), self.__dict__
         for name, tail in _TAILS.items():
-            if getattr(self, name).shape != (n, *tail):
-                raise InvalidInput(
-                    f"{name} of features is {getattr(self, name).shape}; accepted: {(n, *tail)}"
-                )
+            if values[name].shape != (n, *tail):
+                raise InvalidInput(f"{name} of features is {values[name].shape}; accepted: {(n, *tail)}")
         for name in ("sigma_radius", "sigma_relative"):
-            if n and not getattr(self, name).min() >= 0:
+            if not _are_sigmas(values[name]):
                 raise InvalidInput(f"{name} of features must be 0, positive or infinite [m]")
 
     def __len__(self) -> int:
@@ -67,17 +68,21 @@ class Features:
     @property
     def best_radius(self) -> Array:
         """(n,) [m] relative to references where there are any, absolute elsewhere."""
-        return np.where(np.isfinite(self.sigma_relative), self.relative_radius, self.radius)
+        return _where_finite(self.sigma_relative, self.relative_radius, self.radius)
 
     @property
     def best_sigma(self) -> Array:
         """(n,) [m] of `best_radius`."""
-        return np.where(np.isfinite(self.sigma_relative), self.sigma_relative, self.sigma_radius)
+        return _where_finite(self.sigma_relative, self.sigma_relative, self.sigma_radius)
 
     @property
     def significance(self) -> Array:
         """(n,) |R| / sigma, by which a point is labelled; 0 where nothing is known."""
         return np.abs(np.nan_to_num(self.best_radius)) / np.maximum(self.best_sigma, 1e-12)
+
+    def make_sense(self) -> bool:
+        """Whether every place is a number, and every radius of a finite sigma."""
+        return _are_numbers(self.radius, self.sigma_radius, self.position)
 
     @staticmethod
     def empty() -> "Features":
@@ -107,7 +112,13 @@ class Features:
 
     def left(self) -> "Features":
         """As they stay when their tracks are given up."""
-        return replace(self, visible=np.zeros(len(self), bool))
+        return self.changed(visible=np.zeros(len(self), bool))
+
+    def changed(self, **values: NDArray[Any]) -> "Features":
+        """The same with other values, of the same shapes and as acceptable: they are not looked at again."""
+        changed = object.__new__(Features)
+        changed.__dict__.update(self.__dict__, **values)
+        return changed
 
     def and_then(self, others: "Features") -> "Features":
         """These features, then others, whose contours have other numbers."""
@@ -115,7 +126,7 @@ class Features:
             return others if not len(self) else self
         both = {name: np.concatenate([getattr(self, name), getattr(others, name)]) for name in _TAILS}
         both["contour"][len(self) :] += self.contour.max() + 1
-        return Features(**both)
+        return self.changed(**both)
 
 
 _TAILS = {field.name: () for field in fields(Features)} | {
@@ -145,26 +156,72 @@ def labelled(
     views: NDArray[np.integer],
 ) -> Features:
     """Features of n tracks, of radii without references and with them, if there are any; normals (n, 3) of either sign."""
-    n, best = len(normal), held or free
-    side = np.where(best.radius < 0, -1.0, 1.0)
-    known = np.isfinite(best.sigma)
-    none, unknown = np.full(n, np.nan), np.full(n, np.inf)
+    best = held or free
+    absolute, relative, sigma, outward, extremal = _sided(
+        free.radius, best.radius, best.sigma, normal, held is not None
+    )
     return Features(
-        side * free.radius,
+        absolute,
         free.sigma,
-        side * held.radius if held else none,
-        held.sigma if held else unknown,
+        relative,
+        sigma,
         position,
         covariance,
-        side[:, None] * normal,
+        outward,
         plane,
-        known & (np.abs(best.radius) > CONFIDENCE * best.sigma),
+        extremal,
         reference,
         contour,
         pixels,
         visible,
         views,
     )
+
+
+@compiled
+def _where_finite(sigma: Array, a: Array, b: Array) -> Array:
+    """Of numbers (n,) a where sigma (n,) is finite, elsewhere b."""
+    out = np.empty(len(sigma))
+    for i in range(len(sigma)):
+        out[i] = a[i] if math.isfinite(sigma[i]) else b[i]
+    return out
+
+
+@compiled
+def _are_sigmas(values: Array) -> bool:
+    """Whether no number (n,) is negative or none at all."""
+    return bool(np.all(values >= 0))
+
+
+@compiled
+def _are_numbers(radius: Array, sigma: Array, position: Array) -> bool:
+    for i in range(len(radius)):
+        if math.isnan(radius[i]) and math.isfinite(sigma[i]):
+            return False
+        for j in range(3):
+            if math.isnan(position[i, j]):
+                return False
+    return True
+
+
+@compiled
+def _sided(
+    free: Array, best: Array, sigma: Array, normal: Array, is_held: bool
+) -> tuple[Array, Array, Array, Array, NDArray[np.bool_]]:
+    """Radii (n,) `free` and `best`, about the normals (n, 3) about which the best are positive, `sigma` (n,) of the latter, none if
+    these are not held, the normals, and whether (n,) the best are no zeros."""
+    n = len(best)
+    absolute, outward, extremal = np.empty(n), np.empty((n, 3)), np.empty(n, np.bool_)
+    relative, relative_sigma = np.full(n, np.nan), np.full(n, np.inf)
+    for i in range(n):
+        side = -1.0 if best[i] < 0 else 1.0
+        absolute[i] = side * free[i]
+        if is_held:
+            relative[i], relative_sigma[i] = side * best[i], sigma[i]
+        for j in range(3):
+            outward[i, j] = side * normal[i, j]
+        extremal[i] = math.isfinite(sigma[i]) and abs(best[i]) > CONFIDENCE * sigma[i]
+    return absolute, relative, relative_sigma, outward, extremal
 
 
 class FeatureSensor(Protocol):
@@ -206,10 +263,22 @@ def with_mounting(features: Features, eye: Array, position: float, rotation: flo
         eye: (3,) [m] camera centre.
         position, rotation: standard deviations of the mounting, each axis [m], [rad].
     """
-    away = features.position - eye
-    off2 = position**2 + rotation**2 * np.vecdot(away, away)
-    return replace(
-        features,
-        sigma_radius=np.sqrt(features.sigma_radius**2 + off2),
-        covariance=features.covariance + off2[:, None, None] * np.eye(3),
+    sigma, covariance = _with_mounting(
+        features.sigma_radius, features.covariance, features.position, tuple(eye.tolist()), position, rotation
     )
+    return features.changed(sigma_radius=sigma, covariance=covariance)
+
+
+@compiled
+def _with_mounting(
+    sigma: Array, covariance: Array, points: Array, eye: Vector, position: float, rotation: float
+) -> tuple[Array, Array]:
+    """Sigma (n,) of radii and covariances (n, 3, 3) of points (n, 3), off by `position` and `rotation` times the distance besides."""
+    sigma, covariance = sigma.copy(), covariance.copy()
+    for i in range(len(sigma)):
+        away = plus(row(points, i), -1.0, eye)
+        off2 = position * position + rotation * rotation * dot(away, away)
+        sigma[i] = math.sqrt(sigma[i] * sigma[i] + off2)
+        for j in range(3):
+            covariance[i, j, j] += off2
+    return sigma, covariance

@@ -3,6 +3,7 @@
 import math
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from extremal.tasks.edge_choice import choose
 from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features
 from extremal.tasks.section_tracks import SectionTracks
-from extremal.tasks.sightings import believed_planes, in_camera, in_image, tangent_planes
+from extremal.tasks.sightings import believed_planes, in_camera, last_pixels, sigma_of_seen, tangent_planes
 from extremal.tasks.track_sets import (
     FIRST_LOOKS,
     SPACING,
@@ -25,7 +26,6 @@ from extremal.tasks.track_sets import (
     blas,
     checked_pose,
     checked_spacing,
-    first_baseline,
     travel_of,
 )
 from extremal.tasks.triples import Vector, dot
@@ -58,7 +58,7 @@ class GeometricSensor:
         if not self._sets.is_new(believed[:3, 3]):
             return self._sets.features
         root = self._roots.of(pose_covariance)
-        look = _Look(actual, believed, root, first_baseline(pose_covariance))
+        look = _Look(actual, believed, root, self._roots.baseline)
         with blas().limit(limits=1, user_api="blas") if self._many else nullcontext():
             return self._sets.take_in(look, look.believed[:3, 3])
 
@@ -82,13 +82,13 @@ class _Look:
     baseline: float
 
 
-@dataclass(frozen=True, eq=False)
-class _Seen:
-    """Tangent planes (n, 3) in the camera frame, sigma (n,) [rad] infinite where unseen, pixels (n, 2)."""
+class _Seen(NamedTuple):
+    """Tangent planes (n, 3) in the camera frame, sigma (n,) [rad] infinite where unseen, pixels (n, 2) and their errors (n, 2)."""
 
     normals: Array
     sigma: Array
     pixels: Array
+    shift: Array
 
 
 class _Tracks:
@@ -161,12 +161,12 @@ class _Tracks:
         away, line = in_camera(contacts.points, look.actual, look.believed)
         self._update_hidden(look.actual[:3, 3])
         error, found = self._errors(line)
-        normals, per_px, shift = tangent_planes(
+        normals, per_px, shift, ideal = tangent_planes(
             away, contacts.normals, self._plane, self._travel, look.actual, look.believed, (camera.fx, camera.fy), error
         )  # fmt: skip
-        pixels = camera.project(away)
-        ok = contacts.there & ~self._hidden & found & in_image(pixels, camera.width, camera.height)
-        return _Seen(normals, np.where(ok, self._noise * per_px, np.inf), pixels + shift)
+        pixels, size = camera.distort(ideal), (camera.width, camera.height)
+        sigma = sigma_of_seen(self._noise, per_px, pixels, contacts.there, self._hidden, found, size)
+        return _Seen(normals, sigma, pixels, shift)
 
     def _errors(self, line: Vector) -> tuple[Array, NDArray[np.bool_]]:
         """Errors (n,) [px] of edges, along whose middle goes a line of sight, and which are found."""
@@ -181,9 +181,9 @@ class _Tracks:
             self._hidden = self._geometry.hidden(centre, self._contacts.points)
 
     def _absorb(self, look: _Look, seen: _Seen) -> None:
-        ok = self._sections.take_in(look.believed, look.root, seen.normals, seen.sigma)
+        self._sections.take_in(look.believed, look.root, seen.normals, seen.sigma)
         self._looks += 1
-        self._pixels = np.where(ok[:, None] | np.isnan(self._pixels), seen.pixels, self._pixels)
+        self._pixels = last_pixels(self._pixels, seen.pixels, seen.shift, self._sections.visible)
 
     def features(self) -> Features:
         return self._sections.features(self._pixels)

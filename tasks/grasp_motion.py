@@ -11,7 +11,7 @@ from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
 from extremal.sim import NOMINAL, ArmGeometry, ArmKinematics, UnreachablePose, fixating
 from extremal.sim.arm import CUP_LENGTH, JOINT_LIMITS
-from extremal.tasks.arm_chain import Chain, flange_frames, line, reached
+from extremal.tasks.arm_chain import Chain, flange_frames, line, straight
 from extremal.tasks.rigid import product
 
 # Beside a table with the target at the world's origin. As in `sim.kinematics` joints 2, 3 and 4 turn about the vertical,
@@ -142,27 +142,18 @@ class CupKinematics:
     def straight_to(self, start: ArrayLike, T_world_cup: Array) -> Array:
         """As `straight`, to a pose (4, 4)."""
         q = np.array(start, float)
-        path = [q]
-        begin = product(flange_frames(self._chain, q)[-1], _CUP)
-        for cup in line(begin, T_world_cup, SPACING, TURN):
-            after = self._newton(q, product(cup, _FLANGE))
-            if after is None or np.abs(after - q).max() > JUMP:
-                place = np.round(cup[:3, 3], 3).tolist()
-                raise UnreachablePose(
-                    f"the arm can't bring its cup straight to {place} [m]; accepted: lines within its reach and its limits, "
-                    "away from singularities"
-                )
-            q = after
-            path.append(q)
-        return np.array(path)
-
-    def _newton(self, q: Array, T_world_flange: Array) -> Array | None:
-        """Joint positions (6,) near q at which the flange is at a pose (4, 4); None where there are none."""
+        cups = line(product(flange_frames(self._chain, q)[-1], _CUP), T_world_cup, SPACING, TURN)
         try:
-            q, found = reached(self._chain, q, T_world_flange, RESIDUAL, 2 * JUMP)
+            path, count = straight(self._chain, q, cups @ _FLANGE, JOINT_LIMITS, RESIDUAL, JUMP)
         except np.linalg.LinAlgError:
-            return None
-        return q if found and np.all((q >= JOINT_LIMITS[:, 0]) & (q <= JOINT_LIMITS[:, 1])) else None
+            path, count = q[None], 0
+        if count < len(cups):
+            place = np.round(cups[count, :3, 3], 3).tolist()
+            raise UnreachablePose(
+                f"the arm can't bring its cup straight to {place} [m]; accepted: lines within its reach and its limits, "
+                "away from singularities"
+            )
+        return path
 
 
 _CUP, _FLANGE = T_FLANGE_CUP.as_matrix(), T_FLANGE_CUP.inv().as_matrix()

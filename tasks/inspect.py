@@ -58,7 +58,7 @@ class InspectEnv(ActiveVisionEnv[InspectSetup]):
     | key | shape | meaning |
     |---|---|---|
     | `query` | (2,) | pixel of the contour in the first view, in widths of the image |
-    | `target` | (48,) | 1 for rows of `features` that belong to that contour (not in `obs_mode="rgb"`) |
+    | `target` | (64,) | 1 for rows of `features` that belong to that contour (not in `obs_mode="rgb"`) |
 
     ## Rewards
 

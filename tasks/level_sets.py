@@ -4,6 +4,7 @@ What contacts need of `Surface._level` and `Surface._frame` is less than these t
 its Hessian with one direction, of any scale.
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -124,7 +125,7 @@ def differential(solids: Solids, k: int, p: Vector, d: Vector) -> tuple[float, V
 @compiled
 def _of_lathe(solids: Solids, k: int, p: Vector, d: Vector) -> tuple[float, Vector, Vector]:
     """F = rho - r(z) on the side."""
-    rho = max((p[0] * p[0] + p[1] * p[1]) ** 0.5, LEAST_RHO)
+    rho = max(math.sqrt(p[0] * p[0] + p[1] * p[1]), LEAST_RHO)
     r, r1, r2 = profile(solids, k, p[2])
     x, y = p[0] / rho, p[1] / rho
     along = x * d[0] + y * d[1]

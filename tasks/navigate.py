@@ -49,7 +49,7 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
     | `pose` | (7,) | camera: position [m], unit quaternion x, y, z, w |
     | `goal` | (3,) | [m] |
     | `time` | (1,) | share of the time limit that is used up |
-    | `features` | (48, 16) | tracked contour points, zero rows where there are none (not in `obs_mode="rgb"`) |
+    | `features` | (64, 16) | tracked contour points, zero rows where there are none (not in `obs_mode="rgb"`) |
     | `rgb` | (128, 128, 3) uint8 | (`obs_mode="rgb"`, `"both"`) |
 
     Columns of `features`: `radius`, `sigma` [m] of the section by the epipolar plane (sigma 1: unknown), `relative`,
@@ -107,14 +107,17 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
     def _judge(self, action: Array, before: Array) -> tuple[float, bool, bool]:
         self._near.take_in(between(before, self.here))
         self._trace.append(self.here)
-        success = self._clearance > 0 and self._distance <= ARRIVED
-        reward = 0.5 * self._progress() if self.reward_mode == "shaped" and self._clearance > 0 else 0.0
+        distance = self._distance
+        success = self._clearance > 0 and distance <= ARRIVED
+        reward = (
+            0.5 * self._progress(distance) if self.reward_mode == "shaped" and self._clearance > 0 else 0.0
+        )
         arrived = (0.5 if self.reward_mode == "shaped" else 1.0) if success else 0.0
         return reward + arrived, success or self._clearance <= 0, success
 
-    def _progress(self) -> float:
-        """By how much the share of the way that is done exceeds its best so far."""
-        done = min(max(1 - self._distance / self._whole, 0.0), 1.0)
+    def _progress(self, distance: float) -> float:
+        """By how much the share of the way that is done, `distance` [m] being left, exceeds its best so far."""
+        done = min(max(1 - distance / self._whole, 0.0), 1.0)
         gained = max(done - self._best, 0.0)
         self._best += gained
         return gained
@@ -128,13 +131,18 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
         return self._near.smallest
 
     def _metrics(self) -> dict[str, float]:
-        setup, shortest, done = self.setup, self.setup.optimum.length, self.is_success
-        length = self.travelled + self._distance  # what is left of the last millimetres, too
+        setup, shortest, done, distance = (
+            self.setup,
+            self.setup.optimum.length,
+            self.is_success,
+            self._distance,
+        )
+        length = self.travelled + distance  # what is left of the last millimetres, too
         return {
             "collision": float(self._clearance <= 0),
             "smallest_clearance_mm": 1e3 * self._clearance,
             "violation_mm": 1e3 * max(setup.clearance - self._clearance, 0.0),
-            "distance_mm": 1e3 * self._distance,
+            "distance_mm": 1e3 * distance,
             "spl": float(spl(done, length, shortest)) if done else 0.0,
             "path_ratio": float(path_ratio(length, shortest)) if done else float("nan"),
             "regret": float(regret(length, shortest, self._whole)) if done else float("nan"),

@@ -4,6 +4,8 @@ Boxes are exact. Smooth objects are found on samples of the line of sight: betwe
 pass an object unseen, a fraction of a pixel inside its silhouette.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,7 +57,7 @@ def _between(solids: Solids, k: int, c: Vector, d: Vector) -> bool:
     room = solids.ball[k, 3] ** 2 - dot(away, away) + along * along * square
     if not room > 0:
         return False
-    half = (room / square) ** 0.5
+    half = math.sqrt(room / square)
     start, end = max(along - half, 0.0), min(along + half, _end(d))
     if start < end:
         for j in range(SAMPLES):
@@ -66,4 +68,4 @@ def _between(solids: Solids, k: int, c: Vector, d: Vector) -> bool:
 
 @compiled
 def _end(d: Vector) -> float:
-    return 1 - MARGIN / max(dot(d, d) ** 0.5, FLAT)
+    return 1 - MARGIN / max(math.sqrt(dot(d, d)), FLAT)

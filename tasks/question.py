@@ -4,6 +4,7 @@ Features are tracked here and there along a contour. What is asked is where the 
 and radius are interpolated along it; the features' own errors are much alike, those of the poses.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -15,7 +16,7 @@ from extremal.estimator.camera import Array, Camera
 from extremal.tasks.answers import Answer, contact_from, probability_extremal
 from extremal.tasks.compiled import compiled
 from extremal.tasks.rigid import place
-from extremal.tasks.triples import plus, put, row, turned_back
+from extremal.tasks.triples import plus, row, turned_back
 
 LEVEL, SIDE = (
     45.0,
@@ -74,15 +75,15 @@ class Question:
     def _in_first_view(self, seen: Tracked) -> tuple[Array, Array]:
         """Where the first view sees n features, from the pixel, (n, 2) [px], infinite where it doesn't; and unit vectors (n, 2)
         across their contours."""
-        there, across = _seen_first(
+        ideal, across = _seen_first(
             self._pose,
             np.ascontiguousarray(seen.position, float),
             np.ascontiguousarray(seen.normal, float),
-            np.where(seen.sigma < SLID, seen.radius, 0.0),
+            seen.radius,
+            seen.sigma,
             seen.looks >= LEAST_LOOKS,
         )
-        off = self.camera.project(there) - self.query
-        return np.where(np.isnan(off), np.inf, off), across
+        return _off(self.camera.distort(ideal), self.query), across
 
     @cached_property
     def _pose(self) -> Array:
@@ -133,20 +134,34 @@ class Question:
 
 @compiled
 def _seen_first(
-    pose: Array, position: Array, normal: Array, radius: Array, enough: NDArray[np.bool_]
+    pose: Array, position: Array, normal: Array, radius: Array, sigma: Array, enough: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Contact points (n, 3) [m] as a first view from `pose` (4, 4) has them, in the camera frame, NaN behind it and where there are
+    """Contact points as a first view from `pose` (4, 4) has them, ideal image coordinates (n, 2), NaN behind it and where there are
     not `enough` looks (n,); and unit vectors (n, 2) across their contours."""
-    eye = place(pose)
-    there, across = contact_from(eye, position, normal, radius), np.empty((len(radius), 2))
-    for i in range(len(radius)):
-        put(there, i, turned_back(pose, plus(row(there, i), -1.0, eye)))
-        if not (there[i, 2] > NEAREST and enough[i]):
-            there[i, 2] = np.nan
+    eye, n = place(pose), len(radius)
+    known, ideal, across = np.zeros(n), np.full((n, 2), np.nan), np.empty((n, 2))
+    for i in range(n):
+        if sigma[i] < SLID:
+            known[i] = radius[i]
+    there = contact_from(eye, position, normal, known)
+    for i in range(n):
+        x, y, z = turned_back(pose, plus(row(there, i), -1.0, eye))
+        if z > NEAREST and enough[i]:
+            ideal[i, 0], ideal[i, 1] = x / z, y / z
         x, y, _ = turned_back(pose, row(normal, i))
-        length = max((x * x + y * y) ** 0.5, 1e-9)
+        length = max(math.sqrt(x * x + y * y), 1e-9)
         across[i, 0], across[i, 1] = x / length, y / length
-    return there, across
+    return ideal, across
+
+
+@compiled
+def _off(pixels: Array, query: Array) -> Array:
+    """Pixels (n, 2) from one (2,); infinite where they are no numbers."""
+    off = np.empty(pixels.shape)
+    for i in range(len(pixels)):
+        for j in range(2):
+            off[i, j] = np.inf if math.isnan(pixels[i, j]) else pixels[i, j] - query[j]
+    return off
 
 
 @compiled

@@ -35,7 +35,7 @@ FINE = replace(
 )  # edges in frames that are sampled finely
 APART = round(OVERLAP)  # edgels along a contour from which on errors are independent
 NEAREST = 0.06  # [m] of depths: past an obstacle at the wanted clearance, tangents are as short
-MOST = 64  # tracks that are estimated, more or less
+MOST = 40  # tracks that are estimated: as many of one contour as of another, as a long one may not outvote all others
 
 AROUND = 48  # [px] about a track in which the frame is looked at: as far as neighbours help to judge an edge
 GRID = 16  # [px] to which parts of frames are rounded
@@ -164,7 +164,7 @@ class _Tracks(SequentialShape):
             setattr(self, name, getattr(self, name)[rows])
         self._rows = np.arange(len(rows))
 
-    def _absorb(self, view: View, normals: Array, sigma: Array) -> None:
+    def _absorb(self, view: View, normals: Array, sigma: Array) -> np.ndarray:
         """Of the contour points a few, whose errors are their own, in place of all in a `ContourFilter`."""
         pose = view.T_world_camera.as_matrix()
         if self._sections is None:
@@ -180,11 +180,14 @@ class _Tracks(SequentialShape):
                 view.camera.fx,
                 self._edges,
                 noisy_slant=True,
+                may_stray=True,
             )
         root = self._root.of(view.pose_covariance)
         # the pipeline does not know how coarsely a frame was sampled
         sigma = np.maximum(sigma[self._rows], self._least / view.camera.fx)
-        self._sections.take_in(pose, root, normals[self._rows], sigma)
+        strayed = np.zeros(len(normals), bool)
+        strayed[self._rows] = self._sections.take_in(pose, root, normals[self._rows], sigma)
+        return strayed
 
     def features(self) -> Features:
         if self._sections is None:
@@ -211,7 +214,13 @@ def _far_from(near: Array, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _thinned(contour: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Rows (n) to keep: every APART-th point of each contour, or fewer where these are too many."""
-    _, first, inverse = np.unique(contour, return_index=True, return_inverse=True)
-    step = max(APART, -(-len(contour) // MOST))
-    return np.flatnonzero((np.arange(len(contour)) - first[inverse]) % step == step // 2)
+    """Rows (n) to keep, of points in order along contours: every APART-th of each, or fewer and alike many of all longer ones, so
+    that no more than MOST are kept."""
+    first, last = (np.searchsorted(contour, contour, side=side) for side in ("left", "right"))
+    rank, count = np.arange(len(contour)) - first, last - first
+    room = (count + APART // 2) // APART
+    each = MOST
+    while each > 1 and np.sum(np.minimum(room, each) / count) > MOST:
+        each -= 1
+    kept = np.minimum(room, each)
+    return np.flatnonzero((rank + 1) * kept // count > rank * kept // count)

@@ -28,6 +28,12 @@ def product(A: Array, B: Array) -> Array:
 
 
 @compiled
+def is_finite(A: Array) -> bool:
+    """Whether all numbers (...) are finite."""
+    return bool(np.all(np.isfinite(A)))
+
+
+@compiled
 def place(A: Array) -> Vector:
     """Where a motion (4, 4) takes the origin: of T_world_camera, the camera's centre."""
     return A[0, 3], A[1, 3], A[2, 3]

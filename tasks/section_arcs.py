@@ -35,16 +35,13 @@ def crossing(
 
 
 @compiled
-def widen(
-    believed: Array, normals: Array, sigma: Array, frame: Array, first: Array, last: Array, views: Array
-) -> None:
-    """Take a look into the least and largest angle phi (n,) [rad] in which sections were seen, and into the number of views (n,)."""
+def widen(believed: Array, normals: Array, sigma: Array, frame: Array, first: Array, last: Array) -> None:
+    """Take a look into the least and largest angle phi (n,) [rad] in which sections were seen."""
     for i in range(len(sigma)):
         if not math.isinf(sigma[i]):
             normal = turned(believed, row(normals, i))
             phi = math.atan2(dot(row(frame[i], 1), normal), dot(row(frame[i], 0), normal))
             first[i], last[i] = min(first[i], phi), max(last[i], phi)
-            views[i] += 1
 
 
 @compiled

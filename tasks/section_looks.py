@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg.blas import dsyrk  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.camera import Array
@@ -24,15 +25,16 @@ class Rows(NamedTuple):
     right: Array
     pull: Array
     inverse: Array
+    off: Array
 
     @staticmethod
     def zeros(looks: int, n: int) -> "Rows":
-        tails = (4, 4), (6, 6), (n, 3), (n,), (n, 3, 3), (6, 3 * n), (3 * n,), (6,), (6, 6)
+        tails = (4, 4), (6, 6), (n, 3), (n,), (n, 3, 3), (6, 3 * n), (3 * n,), (6,), (6, 6), (n,)
         return Rows(*(np.zeros((looks, *tail)) for tail in tails))
 
     def part(self, first: int, last: int) -> "Rows":
         """Some of the looks: views."""
-        return Rows(*(values[first:last] for values in self))
+        return Rows(*[values[first:last] for values in self])
 
 
 class Looks:
@@ -62,6 +64,10 @@ class Looks:
             values[self.count - 1] = 0.0
         self.count -= 1
 
+    def forget(self, sections: NDArray[np.bool_], looks: int) -> None:
+        """That `sections` (n,) were seen in the latest looks."""
+        self._rows.sigma[max(self.count - looks, 0) : self.count, sections] = np.inf
+
     def nearest(self) -> int:
         """The look, neither first nor last, whose neighbours are nearest to each other."""
         centres = self._rows.believed[: self.count, :3, 3]
@@ -83,7 +89,9 @@ class Sums:
     def prior(information: Array) -> "Sums":
         """Of no look: information (n, 3) on s, q, R."""
         n = len(information)
-        return Sums(np.diag(information.ravel()), np.zeros(3 * n), np.zeros((n, 3, 3)))
+        matrix = np.zeros((3 * n, 3 * n))
+        matrix.ravel()[:: 3 * n + 1] = information.ravel()
+        return Sums(matrix, np.zeros(3 * n), np.zeros((n, 3, 3)))
 
     def copy(self) -> "Sums":
         return Sums(self.matrix.copy(), self.right.copy(), self.blocks.copy())

@@ -16,6 +16,7 @@ Arrays of V looks at n sections:
 | origin, frame, distance | (n, 3), (n, 3, 3), (n,) | of the sections, as `SectionSmoother` describes them |
 | blocks, right | (V, n, 3, 3), (V, 3 n) | X'X for known poses; X'(y - Q Q'y) |
 | loss, pull, inverse | (V, 6, 3 n), (V, 6), (V, 6, 6) | G', Q'y, inv(L) |
+| off | (V, n) | [rad] by which planes miss their sections |
 """
 
 import math
@@ -24,7 +25,7 @@ import numpy as np
 
 from extremal.estimator.camera import Array
 from extremal.tasks.compiled import compiled
-from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, turned, turned_back
+from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, row_in, times, turned, turned_back
 
 TERMS = 6  # of the series of a pose error: to rounding at 0.1 rad
 NEAREST = 0.25  # of their first distance that contact points are from the camera, for the weight of a look
@@ -38,22 +39,19 @@ def placed(
     (V, n, 3) in the world. Of a look that has told nothing yet (all zero) the pose is the believed one."""
     looks, n = normals.shape[:2]
     z, poses, planes = np.zeros((looks, 6)), believed.copy(), np.empty(normals.shape)
-    all_theta, twist, left = theta.reshape(3 * n), np.empty(6), np.empty(6)
+    twist, told = np.empty(6), loss.reshape(6 * looks, 3 * n) @ theta.ravel()
     for v in range(looks):
         for k in range(6):
-            left[k] = pull[v, k]
-            for j in range(3 * n):
-                left[k] -= loss[v, k, j] * all_theta[j]
-        for k in range(6):
             for i in range(k, 6):
-                z[v, k] += inverse[v, i, k] * left[i]
+                z[v, k] += inverse[v, i, k] * (pull[v, i] - told[6 * v + i])
         for k in range(6):
             twist[k] = 0.0
             for i in range(6):
                 twist[k] += root[v, k, i] * z[v, i]
         _move(poses[v], twist)
         for i in range(n):
-            put(planes[v], i, turned(poses[v], row(normals[v], i)))
+            x, y, w = turned(poses[v], row_in(normals, v, i))
+            planes[v, i, 0], planes[v, i, 1], planes[v, i, 2] = x, y, w
     return z, poses, planes
 
 
@@ -75,8 +73,9 @@ def tell(
     right: Array,
     pull: Array,
     inverse: Array,
+    off: Array,
 ) -> None:
-    """What looks say, linearised at theta (n, 3) and where they are `placed`; the last five arguments are written.
+    """What looks say, linearised at theta (n, 3) and where they are `placed`; the last six arguments are written.
 
     Args:
         repeats: (n,) [rad] standard deviation of errors that repeat from look to look.
@@ -85,60 +84,85 @@ def tell(
     looks, n = sigma.shape
     X, O, y = np.empty((n, 3)), np.empty((n, 6)), np.empty(n)
     for v in range(looks):
+        eye = poses[v, 0, 3], poses[v, 1, 3], poses[v, 2, 3]
         for i in range(n):
-            spread = math.hypot(sigma[v, i], repeats[i])
-            nearest = NEAREST * distance[i]
-            n_i = row(planes[v], i)
-            y[i] = _row(
-                poses[v], z[v], root[v], n_i, spread, theta[i], origin[i], frame[i], nearest, far, X[i], O[i]
-            )
+            if math.isinf(sigma[v, i]):
+                X[i], O[i], y[i], off[v, i] = 0.0, 0.0, 0.0, 0.0
+                continue
+            spread = math.sqrt(sigma[v, i] * sigma[v, i] + repeats[i] * repeats[i])
+            s, plane = row(theta, i), row_in(planes, v, i)
+            N, T, lever = row_in(frame, i, 0), row_in(frame, i, 1), plus(eye, -1.0, row(origin, i))
+            x, slope, arm, miss, weight = _row(plane, spread, s, lever, N, T, NEAREST * distance[i], far)
+            put(X, i, times(weight, x))
+            moved = _of_pose(poses, root, z, v, slope, crossed(plane, arm), -weight, O, i)
+            y[i] = weight * (miss + dot(x, s) - moved)
+            off[v, i] = miss / math.sqrt(dot(arm, arm))
         _eliminate(X, O, y, blocks[v], loss[v], right[v], pull[v], inverse[v])
 
 
 @compiled
-def _row(
-    pose: Array,
-    z: Array,
+def missed(
+    believed: Array,
     root: Array,
-    n: Vector,
-    sigma: float,
+    planes: Array,
+    spread: Array,
     theta: Array,
     origin: Array,
     frame: Array,
-    nearest: float,
-    far: float,
-    X: Array,
-    O: Array,
-) -> float:
-    """Write the row X (3,), O (6,) of a tangent plane n, and return y. All zero where sigma is infinite."""
-    if math.isinf(sigma):
-        X[:], O[:] = 0.0, 0.0
-        return 0.0
-    N, T, R = row(frame, 0), row(frame, 1), theta[2]
-    lever = (pose[0, 3] - origin[0], pose[1, 3] - origin[1], pose[2, 3] - origin[2])
+    distance: Array,
+) -> tuple[Array, Array, Array]:
+    """By how much tangent planes (n, 3) in the world, seen from a believed pose (4, 4), miss their sections, in standard deviations
+    `spread` (n,) [rad], finite: r (n,), which is X (n, 3) times the error of theta and O (n, 6) times z, besides the noise."""
+    n = len(spread)
+    X, O, r = np.empty((n, 3)), np.empty((n, 6)), np.empty(n)
+    poses, roots, z = believed.reshape(1, 4, 4), root.reshape(1, 6, 6), np.zeros((1, 6))
+    eye = believed[0, 3], believed[1, 3], believed[2, 3]
+    for i in range(n):
+        s, plane = row(theta, i), row(planes, i)
+        N, T, lever = row_in(frame, i, 0), row_in(frame, i, 1), plus(eye, -1.0, row(origin, i))
+        x, slope, arm, miss, weight = _row(plane, spread[i], s, lever, N, T, NEAREST * distance[i], math.inf)
+        put(X, i, times(weight, x))
+        _of_pose(poses, roots, z, 0, slope, crossed(plane, arm), -weight, O, i)
+        r[i] = weight * miss
+    return X, O, r
+
+
+@compiled
+def _row(
+    n: Vector, sigma: float, theta: Vector, lever: Vector, N: Vector, T: Vector, nearest: float, far: float
+) -> tuple[Vector, Vector, Vector, float, float]:
+    """Of a tangent plane n: derivatives of its miss by theta and by the camera, the arm from contact point to camera, the miss and
+    the weight."""
+    R = theta[2]
     a, b = dot(N, n), dot(T, n)
     rho = max(math.sqrt(a * a + b * b), 1e-9)
-    arm = plus(plus(lever, R - theta[0] - R * a / rho, N), -theta[1] - R * b / rho, T)
+    to_unit = 1 / rho
+    arm = plus(plus(lever, R - theta[0] - R * a * to_unit, N), -theta[1] - R * b * to_unit, T)
     # a contact point that is believed to be in the camera, by a step too long, would weigh without bound
-    away = max(math.sqrt(dot(arm, arm)), nearest)
+    per_away = 1 / max(math.sqrt(dot(arm, arm)), nearest)
     miss = dot(n, lever) - (a * theta[0] + b * theta[1] + (rho - a) * R)
-    weight = 1 / (sigma * away)
-    weight *= min(1.0, far / max(abs(weight * miss), 1e-9))
+    weight = per_away / sigma
+    if abs(weight * miss) > far:
+        weight *= far / abs(weight * miss)
     # Angles are measured, miss / away: with distances held, a smaller world would always fit better.
-    slope = plus(n, -miss / (away * away), arm)
-    X[0], X[1] = dot(N, slope), dot(T, slope)
-    X[2] = (X[0] * a + X[1] * b) / rho - X[0]
-    y = miss + X[0] * theta[0] + X[1] * theta[1] + X[2] * R
-    push, turn = turned_back(pose, slope), turned_back(pose, crossed(n, arm))
+    slope = plus(n, -miss * per_away * per_away, arm)
+    s, q = dot(N, slope), dot(T, slope)
+    return (s, q, (s * a + q * b) * to_unit - s), slope, arm, miss, weight
+
+
+@compiled
+def _of_pose(
+    poses: Array, root: Array, z: Array, v: int, slope: Vector, moment: Vector, scale: float, O: Array, i: int
+) -> float:
+    """Write row i of O (n, 6): `scale` times the derivative by z of a miss of that slope and moment in look v; and return that
+    derivative times z."""
+    push, turn, told = turned_back(poses[v], slope), turned_back(poses[v], moment), 0.0
     for k in range(6):
-        own = 0.0
-        for j in range(3):
-            own += push[j] * root[j, k] + turn[j] * root[3 + j, k]
-        y -= own * z[k]
-        O[k] = -weight * own
-    for j in range(3):
-        X[j] *= weight
-    return weight * y
+        own = push[0] * root[v, 0, k] + push[1] * root[v, 1, k] + push[2] * root[v, 2, k]
+        own += turn[0] * root[v, 3, k] + turn[1] * root[v, 4, k] + turn[2] * root[v, 5, k]
+        told += own * z[v, k]
+        O[i, k] = scale * own
+    return told
 
 
 @compiled

@@ -3,13 +3,12 @@
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
 from extremal.estimator.slant import RIDGE
 from extremal.tasks.compiled import compiled
-from extremal.tasks.rigid import place
-from extremal.tasks.section_rows import inverse_root
-from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, turned, turned_back, unit
+from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, row_in, times, unit
 
 ROUNDS = 3
 LEAST_STEEP = 1e-6  # of a tangent plane across the section's plane
@@ -31,66 +30,78 @@ def smoothed(
     looks, n = sigma.shape
     out = np.empty(planes.shape)
     across, up, columns = np.empty((looks, 3)), np.empty((looks, 3)), np.empty((looks, 3))
-    steep, slant, fitted = np.empty(looks), np.empty(looks), np.empty(looks)
+    square, slant, seen = np.empty(looks), np.empty(looks), np.empty(looks, np.bool_)
     for i in range(n):
-        m = row(frame[i], 2)
-        point = plus(plus(row(origin, i), theta[i, 0], row(frame[i], 0)), theta[i, 1], row(frame[i], 1))
+        m = row_in(frame, i, 2)
+        point = plus(row(origin, i), theta[i, 0], row_in(frame, i, 0))
+        point = plus(point, theta[i, 1], row_in(frame, i, 1))
         for v in range(looks):
-            normal = row(planes[v], i)
-            ray = plus(point, -1.0, place(poses[v]))
+            normal = row_in(planes, v, i)
+            ray = plus(point, -1.0, (poses[v, 0, 3], poses[v, 1, 3], poses[v, 2, 3]))
             # through the measured planes: a normal is perpendicular to its ray
             ray = unit(plus(ray, -dot(ray, normal), normal))
             N = unit(crossed(ray, m))
             put(across, v, N)
             # m, but perpendicular to the ray, also where a camera is a little off the plane
-            put(up, v, crossed(N, ray))
-            cosine, sine = dot(N, row(across, 0)), dot(crossed(row(across, 0), N), m)
-            columns[v, 0], columns[v, 1], columns[v, 2] = cosine, sine, 1 - cosine
-            at = dot(normal, N)
-            steep[v] = at if abs(at) > LEAST_STEEP else LEAST_STEEP
-            slant[v] = dot(normal, row(up, v)) / steep[v]
-        _fit(columns, slant, steep, sigma[:, i], far, fitted)
+            higher = crossed(N, ray)
+            put(up, v, higher)
+            first = row(across, 0)
+            cosine, sine, at = dot(N, first), dot(crossed(first, N), m), dot(normal, N)
+            put(columns, v, (cosine, sine, 1 - cosine))
+            steep = at if abs(at) > LEAST_STEEP else LEAST_STEEP
+            slant[v], square[v], seen[v] = (
+                dot(normal, higher) / steep,
+                steep * steep,
+                not math.isinf(sigma[v, i]),
+            )
+        c = _fitted(columns, slant, square, seen, far)
         for v in range(looks):
-            smooth = unit(plus(row(across, v), fitted[v], row(up, v)))
-            put(out[v], i, plus(smooth, -2.0 * (dot(smooth, row(planes[v], i)) < 0), smooth))
+            smooth = unit(plus(row(across, v), dot(row(columns, v), c), row(up, v)))
+            put(out[v], i, smooth if dot(smooth, row_in(planes, v, i)) >= 0 else times(-1.0, smooth))
     return out
 
 
 @compiled
-def _fit(columns: Array, slant: Array, steep: Array, sigma: Array, far: float, fitted: Array) -> None:
-    """Write the slants (V,) that columns (V, 3) fit, robustly, to those of the looks of finite sigma (V,)."""
-    scale = math.inf
-    fitted[:] = slant
+def _fitted(columns: Array, slant: Array, square: Array, seen: NDArray[np.bool_], far: float) -> Vector:
+    """Coefficients of columns (V, 3) that fit slants (V,), robustly, in the looks in which they were `seen` (V,); square: (V,) of the
+    steepness of tangent planes across the section's plane."""
+    off, scale, c, none = np.zeros(len(slant)), math.inf, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
     for _ in range(ROUNDS):
-        gram, right = np.zeros((3, 3)), np.zeros(3)
+        x, y, z, right = none, none, none, none
+        for v in range(len(slant)):
+            if seen[v]:
+                weight = square[v]
+                if off[v] > far * scale:
+                    weight *= far * scale / off[v]
+                weight *= weight
+                column = row(columns, v)
+                right = plus(right, weight * slant[v], column)
+                x = plus(x, weight * column[0], column)
+                y = plus(y, weight * column[1], column)
+                z = plus(z, weight * column[2], column)
+        c = _solved(x, y, z, right)
         total, count = 0.0, 0
         for v in range(len(slant)):
-            if math.isinf(sigma[v]):
-                continue
-            square = steep[v] * steep[v]
-            # the direction's own error d turns the slant by d / (n . N)^2
-            off = abs(fitted[v] - slant[v]) * square
-            weight = square * min(1.0, far * scale / max(off, 1e-12))
-            for j in range(3):
-                part = weight * weight * columns[v, j]
-                right[j] += part * slant[v]
-                for k in range(3):
-                    gram[j, k] += part * columns[v, k]
-        c = _solved(gram, right)
-        for v in range(len(slant)):
-            fitted[v] = dot(row(columns, v), c)
-            if not math.isinf(sigma[v]):
-                total += abs(fitted[v] - slant[v]) * steep[v] * steep[v]
+            if seen[v]:
+                # the direction's own error d turns the slant by d / (n . N)^2
+                off[v] = abs(dot(row(columns, v), c) - slant[v]) * square[v]
+                total += off[v]
                 count += 1
         scale = max(total / max(count, 1), 1e-9)
+    return c
 
 
 @compiled
-def _solved(gram: Array, right: Array) -> Vector:
-    """x of gram x = right, (3, 3) symmetric, with a ridge where few looks leave a number open; gram is lost."""
-    least = 1e-12 * max(np.max(gram), 1e-12)
-    for j in range(3):
-        gram[j, j] += RIDGE * max(gram[j, j], least)
-    inverse = np.empty((3, 3))
-    inverse_root(gram, inverse)
-    return turned_back(inverse, turned(inverse, (right[0], right[1], right[2])))
+def _solved(x: Vector, y: Vector, z: Vector, right: Vector) -> Vector:
+    """Solution of symmetric equations with rows x, y, z by Cholesky, with a ridge where few looks leave a number open."""
+    least = 1e-12 * max(x[0], y[1], z[2], 1e-12)
+    a = math.sqrt(x[0] + RIDGE * max(x[0], least))
+    b, c = x[1] / a, x[2] / a
+    d = math.sqrt(y[1] + RIDGE * max(y[1], least) - b * b)
+    e = (y[2] - b * c) / d
+    f = math.sqrt(z[2] + RIDGE * max(z[2], least) - c * c - e * e)
+    p = right[0] / a
+    q = (right[1] - b * p) / d
+    r = (right[2] - c * p - e * q) / (f * f)
+    q = (q - e * r) / d
+    return (p - b * q - c * r) / a, q, r

@@ -8,17 +8,21 @@ look keeps its linear equations only as long as the sections stay where they wer
 """
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 from scipy.linalg.lapack import dpotrf, dpotri, dpotrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.adjustment import FAR, LOOSE
 from extremal.estimator.camera import Array
 from extremal.estimator.slant import FAR as FAR_SLANT
+from extremal.tasks.compiled import compiled
 from extremal.tasks.section_arcs import widen
 from extremal.tasks.section_looks import Looks, Sums
-from extremal.tasks.section_rows import placed, tell
+from extremal.tasks.section_misfit import repeated
+from extremal.tasks.section_rows import missed, placed, tell
 from extremal.tasks.section_slant import smoothed
 from extremal.tasks.section_solution import Solution, Spread
+from extremal.tasks.section_strays import strays
 
 MOST_LOOKS = 120  # that are kept: of more, the one goes whose neighbours are nearest to each other
 EARLY = 12  # looks, before which none is an outlier
@@ -26,9 +30,13 @@ FIRST_STEPS = 3  # from nothing known
 RECENT = 4  # looks that are linearised anew with every look
 MOVED = 0.002  # [m] by which half of the sections have moved when all looks are linearised anew,
 GROWTH = 1.25  # or factor on the number of looks
-SPREAD_GROWTH = 1.08  # factor on the number of looks, after which covariances are computed anew
+SPREAD_GROWTH = 1.08  # factor on the number of looks, after which covariances are computed anew, and misfits
 ACROSS_PRIOR, DEPTH_PRIOR, RADIUS_PRIOR = 0.1, 0.06, 0.06  # sigma of s [m], q (share of the distance), R [m]
 LARGEST_RADIUS = 0.3  # [m] at which looks are linearised
+JUDGING = 4  # looks, from which on others are judged by them
+BEFORE = 2  # looks in which a contour may have been another already
+BENDS = 24.0  # how far radii that change by themselves in a radian leave a circle: R arc^3 / BENDS
+ALIKE = 0.5  # standard deviations of errors of edges that are common to a contour
 
 
 class SectionSmoother:
@@ -64,8 +72,8 @@ class SectionSmoother:
         self._looks, self._told = Looks(n), 0  # of the first looks is known what they say; the others wait
         self._settled = Sums.prior(self._prior)  # of all but the latest looks
         self._settled_looks, self._repeats = 0, np.zeros(n)
-        self.first, self.last, self._views = np.full(n, np.inf), np.full(n, -np.inf), np.zeros(n)
-        self._due = self._spread_due = 0.0  # number of looks
+        self.first, self.last = np.full(n, np.inf), np.full(n, -np.inf)
+        self._due = self._spread_due = self._repeats_due = 0.0  # number of looks
         self._spread: Spread | None = None
         self.count = 0
 
@@ -78,15 +86,55 @@ class SectionSmoother:
             sigma: (n,) [rad] of the planes' angles about the camera centre; infinite where unseen.
         """
         self._looks.add(believed, root, normals, sigma)
-        widen(believed, normals, sigma, self._sections[1], self.first, self.last, self._views)
+        widen(believed, normals, sigma, self._sections[1], self.first, self.last)
         self.count += 1
         if self._looks.count > MOST_LOOKS:
             self._leave_one_out()
 
+    def strayed(
+        self, believed: Array, root: Array, normals: Array, sigma: Array, contour: NDArray[np.integer]
+    ) -> NDArray[np.bool_]:
+        """Which (n,) planes of a look, as `update` takes it, are of other contours; contour: (n,) of each section.
+
+        What such sections showed in the looks just before is forgotten: contours that come apart were one for a while.
+        """
+        seen = np.isfinite(sigma)
+        out, rows = np.zeros(len(sigma), bool), np.flatnonzero(seen)
+        if self.count < JUDGING or len(rows) == 0:
+            return out
+        if self._told < self._looks.count:
+            self.solve()
+        assert self._spread is not None
+        n, (origin, frame, distance) = len(sigma), (values[rows] for values in self._sections)
+        padded = np.pad(root, ((0, 0), (0, 6 - root.shape[1])))
+        planes = self._smoothed_last(believed, normals @ believed[:3, :3].T, sigma)[rows]
+        spread, theta = np.hypot(sigma, self._repeats)[rows], self._theta[rows]
+        X, O, r = missed(believed, padded, planes, spread, theta, origin, frame, distance)
+        P = self._spread.covariance.reshape(n, 3, n, 3)[rows][:, :, rows]
+        arc = np.maximum(self.last - self.first, 0.0)[rows]
+        bend = np.abs(theta[:, 2]) * arc**3 / BENDS / (spread * distance)
+        # a turned camera that sees a contact point elsewhere than it is believed to be: of second order, and not small at first
+        depth = np.sqrt(np.maximum(np.einsum("iaia->i", P), 0.0))
+        common = np.hypot(ALIKE, np.sqrt(np.sum(root[3:] ** 2)) * depth / (spread * distance))
+        out[rows] = strays(X, O, r, P, 1.0 + bend**2, common, contour[rows])
+        self._looks.forget(out, BEFORE)
+        return out
+
+    def _smoothed_last(self, believed: Array, planes: Array, sigma: Array) -> Array:
+        """Tangent planes (n, 3) of a new look in the world, their slant smoothed by the looks before it where it is noisy."""
+        if not self._noisy_slant:
+            return planes
+        rows, (origin, frame, _) = self._looks.part(0), self._sections
+        _, poses, before = placed(
+            rows.believed, rows.root, rows.normals, self._theta, rows.loss, rows.pull, rows.inverse
+        )
+        poses, before = np.concatenate([poses, believed[None]]), np.concatenate([before, planes[None]])
+        sigma = np.concatenate([rows.sigma, sigma[None]])
+        return smoothed(poses, before, sigma, self._theta, origin, frame, FAR_SLANT)[-1]
+
     def _leave_one_out(self) -> None:
         i = self._looks.nearest()
         out = self._looks.part(i, i + 1)
-        self._views -= np.isfinite(out.sigma[0])
         if i < self._settled_looks:
             self._settled.add(out, -1.0)
             self._settled_looks -= 1
@@ -108,10 +156,7 @@ class SectionSmoother:
         return self._step(self._linearise(max(self._looks.count - latest, 0)))
 
     def _is_stale(self) -> bool:
-        if self.count >= self._due:
-            return True
-        moved = np.abs(self._theta - self._at).max(axis=1) > MOVED
-        return bool(2 * np.count_nonzero(moved) > len(moved))
+        return self.count >= self._due or _moved(self._theta, self._at) > 0.5 * len(self._at)
 
     def _linearise(self, first: int) -> Sums:
         """Linearise looks from the first on, and those that wait, anew: at what is known now. The sum of all."""
@@ -123,9 +168,14 @@ class SectionSmoother:
             self._tell(self._told, robust)
         first = min(first, self._told)
         if first == 0:
-            self._at, self._repeats = self._theta, self._repeated()
+            self._at = self._theta
+            self._update_repeats()
         self._tell(first, robust)
         self._told = self._looks.count
+        if self._noisy_slant:
+            sums = Sums.prior(self._prior)  # all is told anew with every look
+            sums.add(self._looks.part(0))
+            return sums
         settled = max(first, self._told - RECENT)
         if first == 0:
             self._settled, self._settled_looks = Sums.prior(self._prior), 0
@@ -134,6 +184,15 @@ class SectionSmoother:
         sums = self._settled.copy()
         sums.add(self._looks.part(settled))
         return sums
+
+    def _update_repeats(self) -> None:
+        """What is added to the sigma of looks changes as slowly as covariances do."""
+        if self.count >= self._repeats_due:
+            told = self._looks.part(0, self._told)
+            self._repeats = repeated(
+                self._systematic, self._turn, self.first, self.last, told.off, told.sigma
+            )
+            self._repeats_due = SPREAD_GROWTH * self.count
 
     def _tell(self, first: int, robust: bool) -> None:
         """Let looks from the first on say what they do at what is known now."""
@@ -145,13 +204,8 @@ class SectionSmoother:
             planes = smoothed(poses, planes, rows.sigma, theta, origin, frame, FAR_SLANT)
         tell(
             poses, z, planes, rows.root, rows.sigma, theta, origin, frame, distance, self._repeats, far,
-            rows.blocks, rows.loss, rows.right, rows.pull, rows.inverse,
+            rows.blocks, rows.loss, rows.right, rows.pull, rows.inverse, rows.off,
         )  # fmt: skip
-
-    def _repeated(self) -> Array:
-        """What is added to sigma (n,) [rad] in quadrature, for errors that repeat."""
-        arc = np.maximum(self.last - self.first, 0.0)
-        return self._systematic * np.sqrt(np.maximum(self._views / (1 + arc / self._turn), 1.0))
 
     def _step(self, sums: Sums) -> Solution:
         """Solve normal equations, which are lost."""
@@ -164,6 +218,27 @@ class SectionSmoother:
             self._spread = Spread(covariance, sums.blocks, self._sections[2])
             self._spread_due = SPREAD_GROWTH * self.count
         solution = Solution(theta, self._spread)
-        held = solution.held_theta(self.fixed)
-        self._theta = np.minimum(np.maximum(held, -self._reach), self._reach)
+        self._theta = _within(solution.held_theta(self.fixed), self._reach)
         return solution
+
+
+@compiled
+def _moved(theta: Array, before: Array) -> int:
+    """How many sections have moved by more than MOVED since theta (n, 3) was `before`."""
+    count = 0
+    for i in range(len(theta)):
+        largest = 0.0
+        for j in range(3):
+            largest = max(largest, abs(theta[i, j] - before[i, j]))
+        count += largest > MOVED
+    return count
+
+
+@compiled
+def _within(theta: Array, reach: Array) -> Array:
+    """theta (n, 3), none of it larger than `reach` (n, 3)."""
+    out = np.empty(theta.shape)
+    for i in range(len(theta)):
+        for j in range(3):
+            out[i, j] = min(max(theta[i, j], -reach[i, j]), reach[i, j])
+    return out

@@ -1,7 +1,9 @@
 """What a least-squares solution says of sections: radii and contact points, with or without references that are held fixed."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,47 +41,34 @@ class Spread:
         Args:
             covariance: (3 n, 3 n), the upper triangle; the other is written. blocks: (n, 3, 3) of the information for known poses. distance: (n,) [m] of the camera.
         """
+        self.covariance, self._blocks = covariance, blocks
         _mirror(covariance)
-        self.covariance, self._blocks, self._distance = covariance, blocks, distance
         self._known = _resolved(blocks)
-        self._fixed, self._held = np.zeros(0, bool), None
-        variance = np.maximum(np.diagonal(covariance)[2::3], 0.0)
-        self.free = _Told(*self._judged(diagonal_blocks(covariance).copy(), variance))
+        self._farthest = LOOSE * distance
+        self._held: dict[bytes, _Held] = {}
+        self.free = _Told(*_of_free(covariance, self._known, self._farthest))
 
     def held(self, fixed: NDArray[np.bool_]) -> "_Held":
         """The same where the radii of sections `fixed` (n,), at least one, are zero."""
-        if self._held is None or not np.array_equal(fixed, self._fixed):
-            self._fixed, self._held = fixed.copy(), self._hold(fixed)
-        return self._held
+        key = fixed.tobytes()
+        if key not in self._held:
+            self._held = {key: self._hold(fixed)}
+        return self._held[key]
 
     def _hold(self, fixed: NDArray[np.bool_]) -> "_Held":
         at = 3 * np.flatnonzero(fixed) + 2
-        Q = np.linalg.inv(self.covariance[np.ix_(at, at)])
-        gain = self.covariance[:, at] @ Q
-        each = _less(self.covariance, at, gain)
-        information = np.diagonal(Q)
-        variance = np.maximum(each[:, 2, 2], 0.0)
-        variance[fixed] = 1 / information
-        return _Held(*self._judged(each, variance), at, gain, Q / information[:, None])
-
-    def _judged(self, each: Array, variance: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
-        place = np.sqrt(np.maximum(each[:, 0, 0] + each[:, 1, 1], 0.0))
-        valid = self._known & (place < LOOSE * self._distance)
-        return each, np.where(valid, np.sqrt(variance), np.inf), valid
+        Q = np.linalg.inv(self.covariance[at[:, None], at])
+        return _Held(*_of_held(self.covariance, self._known, self._farthest, fixed, at, Q))
 
     def shared(self) -> tuple[Array, Array]:
         """Variance (n,) of each free radius for known poses, and (n, n) shared: radii i and j have the covariance
         shared_i . shared_j besides."""
-        known = self._known
-        own = np.full(len(known), np.inf)
-        own[known] = np.linalg.inv(self._blocks[known])[:, 2, 2]
-        rest = self.covariance[2::3, 2::3] - np.diag(np.where(known, own, 0.0))
+        own, rest = _parted(self.covariance, self._blocks, self._known)
         values, vectors = np.linalg.eigh(rest)
         return own, vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-@dataclass(frozen=True, eq=False)
-class _Told:
+class _Told(NamedTuple):
     """covariance (n, 3, 3), sigma of R (n,), valid (n,)."""
 
     covariance: Array
@@ -87,12 +76,12 @@ class _Told:
     valid: NDArray[np.bool_]
 
 
-@dataclass(frozen=True, eq=False)
-class _Held(_Told):
-    """Besides: the places `at` (k,) of the radii that are fixed, the gain (3 n, k) by which they tell of all unknowns, and what
-    they say of each other (k, k)."""
+class _Held(NamedTuple):
+    """As `_Told`; besides the gain (3 n, k) by which the radii that are fixed tell of all unknowns, and what they say of each other (k, k)."""
 
-    at: NDArray[np.integer]
+    covariance: Array
+    sigma: Array
+    valid: NDArray[np.bool_]
     gain: Array
     others: Array
 
@@ -115,16 +104,118 @@ class Solution:
         if not fixed.any():
             return self.free
         told, theta = self.spread.held(fixed), self.held_theta(fixed)
-        radius = theta[:, 2].copy()
-        radius[fixed] = told.others @ self.theta.ravel()[told.at]
+        radius = _radii_held(theta, fixed, told.others, self.theta)
         return Sections(theta, told.covariance, radius, told.sigma, told.valid)
 
     def held_theta(self, fixed: NDArray[np.bool_]) -> Array:
         """theta (n, 3) where the radii of sections `fixed` (n,) are zero."""
-        if not fixed.any():
+        key = fixed.tobytes()
+        if 1 not in key:
             return self.theta
-        told = self.spread.held(fixed)
-        return self.theta - (told.gain @ self.theta.ravel()[told.at]).reshape(-1, 3)
+        if key not in self._thetas:
+            self._thetas[key] = _held_theta(self.theta, fixed, self.spread.held(fixed).gain)
+        return self._thetas[key]
+
+    @cached_property
+    def _thetas(self) -> dict[bytes, Array]:
+        return {}
+
+
+@compiled
+def _held_theta(theta: Array, fixed: NDArray[np.bool_], gain: Array) -> Array:
+    """theta (n, 3) less what gain (3 n, k) makes of its radii that are fixed (n,)."""
+    radii = theta[:, 2][fixed]
+    out = theta.copy()
+    for i in range(len(theta)):
+        for j in range(3):
+            for m in range(len(radii)):
+                out[i, j] -= gain[3 * i + j, m] * radii[m]
+    return out
+
+
+@compiled
+def _radii_held(held: Array, fixed: NDArray[np.bool_], others: Array, theta: Array) -> Array:
+    """Radii (n,) of theta `held` (n, 3); of those that are fixed (n,), what the others (k, k) of theta (n, 3) make of them."""
+    radii, out, m = theta[:, 2][fixed], np.empty(len(held)), 0
+    for i in range(len(held)):
+        out[i] = held[i, 2]
+        if fixed[i]:
+            out[i] = 0.0
+            for k in range(len(radii)):
+                out[i] += others[m, k] * radii[k]
+            m += 1
+    return out
+
+
+@compiled
+def _of_free(
+    covariance: Array, known: NDArray[np.bool_], farthest: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """What is told where nothing is fixed, of a covariance (3 n, 3 n): see `_Told`."""
+    n = len(known)
+    each, variance = np.empty((n, 3, 3)), np.empty(n)
+    for i in range(n):
+        for j in range(3):
+            for k in range(3):
+                each[i, j, k] = covariance[3 * i + j, 3 * i + k]
+        variance[i] = max(each[i, 2, 2], 0.0)
+    sigma, valid = _judged(each, variance, known, farthest)
+    return each, sigma, valid
+
+
+@compiled
+def _of_held(
+    covariance: Array,
+    known: NDArray[np.bool_],
+    farthest: Array,
+    fixed: NDArray[np.bool_],
+    at: NDArray[np.integer],
+    Q: Array,
+) -> tuple[Array, Array, NDArray[np.bool_], Array, Array]:
+    """What is told where the radii at places `at` (k,) are fixed, Q (k, k) being the inverse of their covariance: see `_Held`."""
+    gain = np.ascontiguousarray(covariance[:, at]) @ Q
+    each, others = _less(covariance, at, gain), Q.copy()
+    variance, m = np.empty(len(known)), 0
+    for i in range(len(known)):
+        variance[i] = max(each[i, 2, 2], 0.0)
+        if fixed[i]:
+            variance[i] = 1 / Q[m, m]
+            others[m] /= Q[m, m]
+            m += 1
+    sigma, valid = _judged(each, variance, known, farthest)
+    return each, sigma, valid, gain, others
+
+
+@compiled
+def _judged(
+    each: Array, variance: Array, known: NDArray[np.bool_], farthest: Array
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Sigma (n,) of radii with a variance, infinite where not valid (n,): `known`, and places no worse than `farthest` [m]."""
+    sigma, valid = np.full(len(known), np.inf), np.zeros(len(known), np.bool_)
+    for i in range(len(known)):
+        place = math.sqrt(max(each[i, 0, 0] + each[i, 1, 1], 0.0))
+        if known[i] and place < farthest[i]:
+            valid[i], sigma[i] = True, math.sqrt(variance[i])
+    return sigma, valid
+
+
+@compiled
+def _parted(covariance: Array, blocks: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Variance (n,) of radii for known poses, of information `blocks` (n, 3, 3), infinite unless `known` (n,); and the rest (n, n) of
+    their covariance."""
+    n = len(known)
+    own, rest = np.full(n, np.inf), np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            rest[i, j] = covariance[3 * i + 2, 3 * j + 2]
+        if known[i]:
+            # what is left of R's information, once the other two unknowns are eliminated
+            b = blocks[i]
+            slope = b[0, 1] / b[0, 0]
+            left = (b[1, 2] - slope * b[0, 2]) ** 2 / (b[1, 1] - slope * b[0, 1])
+            own[i] = 1 / (b[2, 2] - b[0, 2] * b[0, 2] / b[0, 0] - left)
+            rest[i, i] -= own[i]
+    return own, rest
 
 
 @compiled
@@ -147,12 +238,6 @@ def _mirror(matrix: Array) -> None:
     for i in range(len(matrix)):
         for j in range(i):
             matrix[i, j] = matrix[j, i]
-
-
-def diagonal_blocks(matrix: Array) -> Array:
-    """A view (n, 3, 3) of the blocks on the diagonal of a matrix (3 n, 3 n)."""
-    n = len(matrix) // 3
-    return np.einsum("iaib->iab", matrix.reshape(n, 3, n, 3))
 
 
 @compiled

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
 from extremal.estimator.estimates import DRIFT
-from extremal.estimator.references import bootstrap
+from extremal.tasks.compiled import compiled
 from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features, Radii, labelled
 from extremal.tasks.section_arcs import crossing, middles
+from extremal.tasks.section_references import references
 from extremal.tasks.section_smoother import SectionSmoother
 from extremal.tasks.section_solution import Sections
 
@@ -24,6 +25,7 @@ LEAST_TILT = (
 )
 STEEPER = 1.2  # than that, where tracks start
 FIRST_BOOTSTRAP, BOOTSTRAP_GROWTH = 8, 1.2  # looks, and factor on their number
+SETTLED = 16  # looks
 LEAST_REFERENCES = 5  # from which they tell how well sigma describes their errors
 MEDIAN_CHI2 = 0.4549  # of one degree of freedom
 
@@ -40,49 +42,62 @@ class SectionTracks:
         focal: float,
         edges: EdgeModel,
         noisy_slant: bool,
+        may_stray: bool = False,
     ) -> None:
         """
         Args:
             origin, frame: (n, 3) [m], (n, 3, 3) as of `SectionSmoother`.
             contour: (n,) image contour of each, in order along it. distance: (n,) [m] of the origins. focal: [px].
             edges: whose biases are taken into account. noisy_slant: as of `SectionSmoother`.
+            may_stray: whether tracks may go over to other contours.
         """
         self._smoother = SectionSmoother(
             origin, frame, distance, edges.bias_px / focal, edges.bias_turn, noisy_slant
         )
         self._origin, self._frame, self._contour = origin, np.ascontiguousarray(frame), contour
-        self._drift = DRIFT * distance / focal
+        self._drift, self._may_stray = DRIFT * distance / focal, may_stray
         self._looks, self._due = 0, float(FIRST_BOOTSTRAP)
+        self._next, self._told = 0, Features.empty()
         n = len(origin)
         self._normals = np.zeros((32, n, 3))  # of every look, in the world; zero where unseen
         self._views, self.visible = np.zeros(n, int), np.zeros(n, bool)
 
     def take_in(self, believed: Array, root: Array, normals: Array, sigma: Array) -> NDArray[np.bool_]:
-        """Take in a look, as `SectionSmoother.update` does, and say which sections (n,) were seen.
+        """Take in a look, as `SectionSmoother.update` does, and say which (n,) planes are of other contours.
 
-        Planes that hardly cross those of their sections are left out.
+        They are left out, as those that hardly cross the planes of their sections are: see `visible`.
         """
         if self._looks == len(self._normals):
             self._normals = np.concatenate([self._normals, np.zeros_like(self._normals)])
         there = self._normals[self._looks]
+        strayed = np.zeros(len(sigma), bool)
+        if self._may_stray:
+            strayed = self._smoother.strayed(believed, root, normals, sigma, self._contour)
+            sigma = np.where(strayed, np.inf, sigma)
         seen = crossing(believed, normals, sigma, self._frame, LEAST_TILT, there)
         self._smoother.update(believed, root, normals, np.where(seen, sigma, np.inf))
         self._views += seen
         self.visible = seen
         self._looks += 1
-        return seen
+        return strayed
 
     def features(self, pixels: Array) -> Features:
-        """What is known now; pixels (n, 2) where tracks were last seen."""
+        """What is known; pixels (n, 2) where tracks were last seen. Of more than SETTLED looks, every second one brings new estimates."""
         if len(self._origin) == 0:
             return Features.empty()
+        if self._looks >= self._next:
+            self._next = self._looks + (1 if self._looks < SETTLED else 2)
+            self._told = self._estimated(pixels)
+        return self._told.changed(pixels=pixels, visible=self.visible, views=self._views.copy())
+
+    def _estimated(self, pixels: Array) -> Features:
         solution = self._smoother.solve()
         free = solution.free
         if self._looks >= self._due:
             self._due = self._looks * BOOTSTRAP_GROWTH
             own, shared = solution.spread.shared()
             own = np.where(free.valid, own, np.inf)
-            self._smoother.fixed = bootstrap(free.radius, own, shared, self._contour).fixed
+            self._smoother.fixed = references(free.radius, own, shared, self._contour)
         fixed = self._smoother.fixed
         held, ratio = None, 1.0
         if fixed.any():
@@ -104,7 +119,7 @@ class SectionTracks:
             self._contour,
             pixels,
             self.visible,
-            self._views.copy(),
+            self._views,
         )
 
     def _radii(self, found: Sections, ratio: float) -> Radii:
@@ -116,9 +131,13 @@ def _birge_ratio(found: Sections, fixed: NDArray[np.bool_]) -> float:
 
     What a circle leaves of a section, and errors of edges that views share, are not all in sigma.
     """
-    chi2 = np.sort((found.radius / found.sigma)[fixed & found.valid] ** 2)
+    median, count = _median_chi2(found.radius, found.sigma, fixed & found.valid)
+    return math.sqrt(max(1.0, median / MEDIAN_CHI2)) if count >= LEAST_REFERENCES else 1.0
+
+
+@compiled
+def _median_chi2(radius: Array, sigma: Array, rows: NDArray[np.bool_]) -> tuple[float, int]:
+    """Median of (radius / sigma)^2 of rows (n,), and how many they are."""
+    chi2 = np.sort((radius[rows] / sigma[rows]) ** 2)
     count = len(chi2)
-    if count < LEAST_REFERENCES:
-        return 1.0
-    median = 0.5 * (chi2[(count - 1) // 2] + chi2[count // 2])  # several times as fast as numpy's
-    return math.sqrt(max(1.0, median / MEDIAN_CHI2))
+    return (0.5 * (chi2[(count - 1) // 2] + chi2[count // 2]) if count else math.nan), count

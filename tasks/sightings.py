@@ -3,6 +3,8 @@
 Poses are matrices T_world_camera (4, 4).
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -52,7 +54,7 @@ def tangent_planes(
     believed: Array,
     focal: tuple[float, float],
     error: Array,
-) -> tuple[Array, Array, Array]:
+) -> tuple[Array, Array, Array, Array]:
     """Tangent planes of edges that are seen off by `error` (n,) [px], in the camera frame.
 
     Args:
@@ -62,9 +64,11 @@ def tangent_planes(
 
     Returns:
         Normals (n, 3), to the side that looks along the travel; radians per pixel of error (n,), 0 or less behind the camera;
-        and by how much the error moves the edge in the image (n, 2) [px].
+        by how much the error moves the edge in the image (n, 2) [px]; and ideal image coordinates (n, 2) = (X/Z, Y/Z), NaN
+        behind the camera.
     """
     out, per_px, shift = np.empty(away.shape), np.empty(len(away)), np.empty((len(away), 2))
+    ideal = np.full((len(away), 2), np.nan)
     forwards = turned_back(believed, (travel[0], travel[1], travel[2]))
     for i in range(len(away)):
         ray, n = unit(row(away, i)), turned_back(actual, row(normals, i))
@@ -72,17 +76,42 @@ def tangent_planes(
         if dot(across, forwards) * dot(n, across) < 0:
             n = times(-1.0, n)
         x, y = n[0] / focal[0], n[1] / focal[1]
-        slope = max((x * x + y * y) ** 0.5, LEAST_SLOPE)
+        slope = max(math.sqrt(x * x + y * y), LEAST_SLOPE)
         per_px[i] = slope * ray[2]
         put(out, i, unit(plus(n, error[i] * per_px[i], ray)))
         shift[i, 0], shift[i, 1] = -error[i] / slope * x, -error[i] / slope * y
-    return out, per_px, shift
+        if away[i, 2] > 0:
+            ideal[i, 0], ideal[i, 1] = away[i, 0] / away[i, 2], away[i, 1] / away[i, 2]
+    return out, per_px, shift, ideal
 
 
 @compiled
-def in_image(pixels: Array, width: int, height: int) -> NDArray[np.bool_]:
-    """Whether (n,) pixels (n, 2) are within an image."""
-    out = np.empty(len(pixels), np.bool_)
-    for i in range(len(pixels)):
-        out[i] = -0.5 <= pixels[i, 0] <= width - 0.5 and -0.5 <= pixels[i, 1] <= height - 0.5
+def sigma_of_seen(
+    noise: Array,
+    per_px: Array,
+    pixels: Array,
+    there: NDArray[np.bool_],
+    hidden: NDArray[np.bool_],
+    found: NDArray[np.bool_],
+    size: tuple[int, int],
+) -> Array:
+    """Sigma (n,) [rad] of noise (n,) [px], infinite unless an edge is there, not hidden, found, and its pixel (n, 2) within an image of
+    that size (width, height)."""
+    sigma = np.full(len(noise), np.inf)
+    for i in range(len(noise)):
+        x, y = pixels[i, 0], pixels[i, 1]
+        within = -0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5
+        if there[i] and found[i] and not hidden[i] and within:
+            sigma[i] = noise[i] * per_px[i]
+    return sigma
+
+
+@compiled
+def last_pixels(before: Array, now: Array, shift: Array, seen: NDArray[np.bool_]) -> Array:
+    """Pixels (n, 2) now, off by `shift` (n, 2), where they were seen (n,), or never before (NaN); elsewhere those before."""
+    out = before.copy()
+    for i in range(len(seen)):
+        for j in range(2):
+            if seen[i] or math.isnan(before[i, j]):
+                out[i, j] = now[i, j] + shift[i, j]
     return out

@@ -1,5 +1,6 @@
 """What environments observe and how a camera is moved: arrays of fixed size, and back."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,6 +15,7 @@ from extremal.tasks.features import Features
 from extremal.tasks.rigid import (
     exponential,
     inverse,
+    is_finite,
     orthonormal,
     place,
     product,
@@ -23,11 +25,12 @@ from extremal.tasks.rigid import (
 )
 from extremal.tasks.triples import Vector, plus, times
 
-SLOTS = 48  # features that an observation holds: the visible ones first, then those seen most often
+SLOTS = 64  # features that an observation holds: the visible ones first, then those seen most often
 COLUMNS = (
     "radius", "sigma", "relative", "sigma_relative", "x", "y", "z", "sigma_position", "nx", "ny", "nz", "extremal",
     "reference", "visible", "contour", "looks",
 )  # fmt: skip
+MOST_VIEWS = 1 << 40
 UNKNOWN = 1.0  # [m] that stands for an infinite sigma
 REACH = 2.0  # [m] largest coordinate, and largest radius, of an observation
 DT = 0.1  # [s] of a step
@@ -57,7 +60,7 @@ def feature_space() -> gym.spaces.Box:
 
 def slots(features: Features) -> NDArray[np.integer]:
     """Which features, in order, an observation holds."""
-    return np.lexsort((-features.views, ~features.visible))[:SLOTS]
+    return np.argsort(features.visible * -MOST_VIEWS - features.views, kind="stable")[:SLOTS]
 
 
 def feature_rows(features: Features) -> NDArray[np.float32]:
@@ -98,7 +101,7 @@ def _fill(
                 along += normal[i, a] * min(covariance[i, a, b], UNKNOWN**2) * normal[i, b]
         values = (
             radius[i], sigma[i], relative[i], sigma_relative[i], position[i, 0], position[i, 1], position[i, 2],
-            max(along, 0.0) ** 0.5, normal[i, 0], normal[i, 1], normal[i, 2], 1.0 * extremal[i], 1.0 * reference[i],
+            math.sqrt(max(along, 0.0)), normal[i, 0], normal[i, 1], normal[i, 2], 1.0 * extremal[i], 1.0 * reference[i],
             1.0 * visible[i], 1.0 * contour[i], 1.0 * views[i],
         )  # fmt: skip
         for c in range(len(values)):
@@ -144,11 +147,19 @@ def motion_space(mode: str) -> gym.spaces.Box:
 def checked_action(action: Any, space: gym.spaces.Box) -> Array:
     """An action, clipped to its space; InvalidInput for another shape or numbers that are not finite."""
     values = np.asarray(action, float)
-    if values.shape != space.shape or not np.isfinite(values).all():
+    if values.shape != space.shape or not is_finite(values):
         raise InvalidInput(
             f"action is {np.array2string(values, threshold=8)}; accepted: {space.shape} finite numbers"
         )
-    return np.minimum(np.maximum(values, space.low), space.high)
+    return _clipped(values, space.low, space.high)
+
+
+@compiled
+def _clipped(values: Array, low: NDArray[Any], high: NDArray[Any]) -> Array:
+    out = np.empty(len(values))
+    for i in range(len(values)):
+        out[i] = min(max(values[i], low[i]), high[i])
+    return out
 
 
 def moved(pose: Array, action: Array, mode: str) -> Array:
@@ -180,4 +191,12 @@ def _stepped(pose: Array, way: Vector, turn: Vector, is_velocity: bool) -> Array
 
 def pose_values(pose: Array) -> NDArray[np.float32]:
     """(7,) position [m] and unit quaternion x, y, z, w, w >= 0, of a pose (4, 4)."""
-    return np.array([*pose[:3, 3].tolist(), *quaternion(pose)], np.float32)
+    return _pose_values(pose)
+
+
+@compiled
+def _pose_values(pose: Array) -> NDArray[np.float32]:
+    out = np.empty(7, np.float32)
+    out[0], out[1], out[2] = place(pose)
+    out[3], out[4], out[5], out[6] = quaternion(pose)
+    return out

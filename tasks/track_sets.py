@@ -20,7 +20,10 @@ from extremal.estimator.camera import Array
 from extremal.estimator.epipolar import LEAST_CERTAINTY
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.poses import square_root
+from extremal.tasks.compiled import compiled
 from extremal.tasks.features import Features
+from extremal.tasks.rigid import is_finite
+from extremal.tasks.triples import dot, plus
 
 SPACING = 0.005  # [m]
 FIRST_LOOKS, FIRST_BASELINE = 5, 0.02  # [m]
@@ -86,10 +89,16 @@ class TrackSets(Generic[S]):
         told = self._told
         if len(told) == 0 or np.count_nonzero(told.visible) < LEAST_SEEN * len(told):
             return True
-        middle = np.sort(told.position, axis=0)[len(told) // 2]
-        before, now = self._origin - middle, centre - middle
-        cosine = before @ now / max(float(np.linalg.norm(before) * np.linalg.norm(now)), 1e-12)
-        return float(cosine) < np.cos(FARTHEST_TURN)
+        return _cosine_from_middle(told.position, self._origin, centre) < math.cos(FARTHEST_TURN)
+
+
+@compiled
+def _cosine_from_middle(points: Array, a: Array, b: Array) -> float:
+    """Of the angle between a and b as it is seen from the median of points (n, 3)."""
+    half = len(points) // 2
+    middle = np.sort(points[:, 0])[half], np.sort(points[:, 1])[half], np.sort(points[:, 2])[half]
+    to_a, to_b = plus((a[0], a[1], a[2]), -1.0, middle), plus((b[0], b[1], b[2]), -1.0, middle)
+    return dot(to_a, to_b) / max(math.sqrt(dot(to_a, to_a) * dot(to_b, to_b)), 1e-12)
 
 
 @cache
@@ -119,25 +128,29 @@ def travel_of(centres: Array) -> Array:
 def checked_pose(pose: Array) -> Array:
     """The pose (4, 4); InvalidInput if it is none, or not finite."""
     matrix = np.asarray(pose, float)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+    if matrix.shape != (4, 4) or not is_finite(matrix):
         raise InvalidInput(f"a pose of shape {matrix.shape} given; accepted: one finite transform (4, 4)")
     return matrix
 
 
 class PoseRoots:
-    """Square roots of pose covariances, remembered as long as these stay the same; all of the first one's rank."""
+    """Square roots of pose covariances, remembered as long as these stay the same; all of the first one's rank.
+
+    Attributes:
+        baseline: `first_baseline` [m] of the last covariance.
+    """
 
     def __init__(self) -> None:
-        self._covariance, self._root = np.full((6, 6), np.nan), np.zeros((6, 0))
+        self._key, self._root, self.baseline = b"", np.zeros((6, 0)), FIRST_BASELINE
 
     def of(self, covariance: Array) -> Array:
         """(6, 6), or (6, 0) of an exact pose."""
-        if not np.array_equal(covariance, self._covariance):
-            if np.shape(covariance) != (6, 6) or not np.all(np.isfinite(covariance)):
-                raise InvalidInput(
-                    f"pose covariance is {np.shape(covariance)}; accepted: finite numbers (6, 6)"
-                )
-            root = square_root(np.asarray(covariance, float)[None])[0]
+        covariance = np.asarray(covariance, float)
+        key = covariance.tobytes()
+        if key != self._key:
+            if covariance.shape != (6, 6) or not np.all(np.isfinite(covariance)):
+                raise InvalidInput(f"pose covariance is {covariance.shape}; accepted: finite numbers (6, 6)")
+            root = square_root(covariance[None])[0]
             self._root = np.pad(root, ((0, 0), (0, 6 - root.shape[1]))) if root.shape[1] else root
-            self._covariance = np.array(covariance, float)
+            self.baseline, self._key = first_baseline(covariance), key
         return self._root

@@ -1,5 +1,7 @@
 """Vectors of three numbers in compiled loops, as tuples: no memory, no calls."""
 
+import math
+
 from extremal.estimator.camera import Array
 from extremal.tasks.compiled import compiled
 
@@ -11,6 +13,12 @@ LEAST = 1e-300  # length below which a vector has no direction
 def row(a: Array, i: int) -> Vector:
     """Row i of an array (n, 3)."""
     return a[i, 0], a[i, 1], a[i, 2]
+
+
+@compiled
+def row_in(a: Array, v: int, i: int) -> Vector:
+    """Row i of part v of an array (V, n, 3), without a view of the part, which costs as much as what is done with the row."""
+    return a[v, i, 0], a[v, i, 1], a[v, i, 2]
 
 
 @compiled
@@ -46,7 +54,7 @@ def crossed(a: Vector, b: Vector) -> Vector:
 @compiled
 def unit(a: Vector) -> Vector:
     """a / |a|; 0 stays 0."""
-    return times(1 / max(dot(a, a) ** 0.5, LEAST), a)
+    return times(1 / max(math.sqrt(dot(a, a)), LEAST), a)
 
 
 @compiled

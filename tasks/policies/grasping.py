@@ -17,6 +17,7 @@ from extremal.tasks.policies.policy import Policy, RandomPolicy
 from extremal.tasks.spaces import POSE_TURN, REACH, SPEED, SeenFeatures
 
 AHEAD = 0.35  # [m] of the vase, at the start
+ASIDE = 0.08  # [m] of its axis from there, at most
 SHORT, LONG, SPEEDING = (
     0.11,
     0.16,
@@ -56,6 +57,7 @@ class Grasper:
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
         self._start, self._arm = None, CupKinematics(T_TABLE_BASE)
         self._left, self._to = self._again, 1.0
+        self._known: list[ArcBelief] = []
 
     def act(self, observation: Mapping[str, Any]) -> NDArray[np.floating]:
         pose = pose_of(observation)
@@ -63,7 +65,8 @@ class Grasper:
             self._start = pose
         swept = float(self._start.inv().apply(pose.translation)[0])
         if swept >= self._sweep if self._to > 0 else swept <= 0:
-            beliefs = self._beliefs(observation)
+            # new tracks may not tell yet what former ones did
+            self._known = beliefs = self._beliefs(observation) or self._known
             if self._left == 0 or (beliefs and min(b.sigma_radius for b in beliefs) < ENOUGH):
                 return grasp_at(self._arm, beliefs, pose.translation, observation)
             self._left, self._to = self._left - 1, -self._to
@@ -81,10 +84,12 @@ class Grasper:
         use = (seen.extremal > 0) & (seen.reference == 0) & (seen.looks >= LEAST_LOOKS) & (sigma < WORST)
         use &= (right > 0.6) & (np.abs(seen.position[:, 2] - level) < NEAR_LEVEL) & (radius > 0.012)
         use &= np.abs(seen.normal[:, 2]) < 0.5
+        assert self._start is not None
+        off = (seen.position - radius[:, None] * seen.normal - self._start.apply([0.0, 0.0, AHEAD]))[:, :2]
+        use &= np.linalg.norm(off, axis=1) < ASIDE + sigma  # others stand elsewhere
         rows = _plainest(seen.contour, radius / sigma, np.flatnonzero(use))
         if len(rows) == 0:
             return []
-        assert self._start is not None
         around, spread = radius_around(
             radius[rows], sigma[rows], seen.position[rows], seen.normal[rows], self._start.translation
         )

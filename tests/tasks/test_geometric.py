@@ -181,7 +181,8 @@ def test_smoother_equals_the_batch_adjustment() -> None:
     first *= np.sign(first @ travel)[:, None]
     frame = np.stack([first, ray, np.cross(first, ray)], axis=1)
     smoother = SectionSmoother(origin, frame, np.linalg.norm(away, axis=1), 0.0, 0.1, False)
-    sigma, normals, order = 1e-4, np.zeros((len(ray), VIEWS, 3)), [*range(middle, -1, -1)]
+    # so that what circles leave of the vase is within the errors of edges: it weighs nothing in the batch
+    sigma, normals, order = 5e-4, np.zeros((len(ray), VIEWS, 3)), [*range(middle, -1, -1)]
     for part in (order, list(range(middle + 1, VIEWS))):
         moved = contacts
         for i in part:

@@ -6,6 +6,7 @@ from collections.abc import Callable
 import gymnasium as gym
 import mujoco
 import numpy as np
+import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 from scipy.spatial.transform import RigidTransform
 
@@ -14,6 +15,8 @@ from extremal.sim.axes import swap_camera_axes
 from extremal.sim.rendering import EYE
 from extremal.tasks.environment import RGB
 from extremal.tasks.eye import Eye
+
+pytestmark = pytest.mark.slow
 
 FRAMES = 60
 

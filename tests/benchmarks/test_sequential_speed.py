@@ -3,12 +3,15 @@
 import time
 
 import numpy as np
+import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from extremal.estimator.camera import Array
 from extremal.estimator.contour_filter import ContourFilter
 from extremal.scripts.spatial_study import pose_errors, random_scene
 from extremal.scripts.synthetic import Observation, observe
+
+pytestmark = pytest.mark.slow
 
 TRACKS, VIEWS = 500, 120
 EDGE = 0.1 / 800  # [rad]

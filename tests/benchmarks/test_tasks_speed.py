@@ -9,6 +9,8 @@ from pytest_benchmark.fixture import BenchmarkFixture
 
 import extremal.tasks  # noqa: F401  registers the environments
 
+pytestmark = pytest.mark.slow
+
 SEEDS, STEPS = range(500_000, 500_006), 60
 NAMES = ("Navigate", "Inspect", "Grasp")
 

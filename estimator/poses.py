@@ -117,6 +117,17 @@ def square_root(covariance: Array) -> Array:
     return root[:, :, ::-1][:, :, :rank]
 
 
+def pose_root(covariance: Array) -> Array:
+    """Square root (6, 6) of one covariance (6, 6), or (6, 0) of an exact pose; errors as of `square_root`."""
+    root = square_root(covariance[None])[0]
+    return six_columns(root) if root.shape[1] else root
+
+
+def six_columns(root: Array) -> Array:
+    """A root (6, K) with columns of zeros up to the sixth, (6, 6)."""
+    return np.pad(root, ((0, 0), (0, 6 - root.shape[1])))
+
+
 def pose_exp(errors: Array) -> RigidTransform:
     """exp of twists (..., 6) = (translation [m], rotation vector [rad])."""
     return RigidTransform.from_exp_coords(np.concatenate([errors[..., 3:], errors[..., :3]], axis=-1))

@@ -21,7 +21,7 @@ from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.estimates import DRIFT, LEAST_VIEWS, OVERLAP, fit_circles
 from extremal.estimator.joint import sections_of
 from extremal.estimator.matching import EdgelMap, cross, reach_of
-from extremal.estimator.poses import square_root
+from extremal.estimator.poses import pose_root
 from extremal.estimator.references import bootstrap
 from extremal.estimator.tracking import GATE, LEAST_GATE, NEAREST, PARALLEL, track
 
@@ -152,7 +152,7 @@ class SequentialShape:
     def _absorb(self, view: View, normals: Array, sigma: Array) -> np.ndarray:
         """Take in tangent planes of a view, and say which (n,) are of other contours, by what is known: of none, here."""
         self._views += np.isfinite(sigma)
-        self._filter.update(view.T_world_camera, _root(view), normals, sigma)
+        self._filter.update(view.T_world_camera, pose_root(view.pose_covariance), normals, sigma)
         return np.zeros(len(sigma), bool)
 
     def _follow(self, view: View, contours: Contours) -> None:
@@ -241,7 +241,11 @@ def in_step(ok: np.ndarray, view: View, points: Array, normals: Array) -> np.nda
     p = (points[rows] - view.centre) @ view.T_world_camera.rotation.as_matrix()
     distance = np.linalg.norm(p, axis=1)
     misses = np.sum(normals * p, axis=1) / distance
-    A = np.concatenate([normals, np.cross(p, normals)], axis=1) @ _root(view) / distance[:, None]
+    A = (
+        np.concatenate([normals, np.cross(p, normals)], axis=1)
+        @ pose_root(view.pose_covariance)
+        / distance[:, None]
+    )
     left, scale = misses, 0.0
     for _ in range(IN_STEP_ROUNDS):
         scale = max(1.48 * float(np.median(np.abs(left))), LEAST_SPREAD / view.camera.fx)
@@ -264,9 +268,3 @@ def _alone(view: View, travel: Array) -> Sequence3D:
     variance = np.diagonal(view.pose_covariance).reshape(1, 2, 3).mean(axis=2)
     rotation = view.T_world_camera.rotation.as_matrix()
     return Sequence3D((view.camera,), rotation[None], view.centre[None], travel, *np.sqrt(variance).T)
-
-
-def _root(view: View) -> Array:
-    """(6, 6) square root of the pose's covariance, or (6, 0) of an exact pose."""
-    root = square_root(view.pose_covariance[None])[0]
-    return np.pad(root, ((0, 0), (0, 6 - root.shape[1]))) if root.shape[1] else root

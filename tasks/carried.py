@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
-from extremal.estimator.poses import square_root
+from extremal.estimator.poses import six_columns, square_root
 from extremal.sim import NOMINAL, ArmErrors, ArmGeometry
 from extremal.tasks.compiled import compiled
 from extremal.tasks.rigid import exponential, product
@@ -71,7 +71,7 @@ class CarriedCamera:
             geometry,
             start * off * start.inv(),
             mounting,
-            np.ascontiguousarray(np.pad(root, ((0, 0), (0, 6 - root.shape[1])))),
+            np.ascontiguousarray(six_columns(root)),
             scatter,
             (bias.hand_eye_position, bias.hand_eye_rotation),
         )

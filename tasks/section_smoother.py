@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dpotrf, dpotri, dpotrs  # pyright: ignore[report
 
 from extremal.estimator.adjustment import FAR, LOOSE
 from extremal.estimator.camera import Array
+from extremal.estimator.poses import six_columns
 from extremal.estimator.slant import FAR as FAR_SLANT
 from extremal.tasks.compiled import compiled
 from extremal.tasks.section_arcs import widen
@@ -98,18 +99,16 @@ class SectionSmoother:
 
         What such sections showed in the looks just before is forgotten: contours that come apart were one for a while.
         """
-        seen = np.isfinite(sigma)
-        out, rows = np.zeros(len(sigma), bool), np.flatnonzero(seen)
+        out, rows = np.zeros(len(sigma), bool), np.flatnonzero(np.isfinite(sigma))
         if self.count < JUDGING or len(rows) == 0:
             return out
         if self._told < self._looks.count:
             self.solve()
         assert self._spread is not None
         n, (origin, frame, distance) = len(sigma), (values[rows] for values in self._sections)
-        padded = np.pad(root, ((0, 0), (0, 6 - root.shape[1])))
         planes = self._smoothed_last(believed, normals @ believed[:3, :3].T, sigma)[rows]
         spread, theta = np.hypot(sigma, self._repeats)[rows], self._theta[rows]
-        X, O, r = missed(believed, padded, planes, spread, theta, origin, frame, distance)
+        X, O, r = missed(believed, six_columns(root), planes, spread, theta, origin, frame, distance)
         P = self._spread.covariance.reshape(n, 3, n, 3)[rows][:, :, rows]
         arc = np.maximum(self.last - self.first, 0.0)[rows]
         bend = np.abs(theta[:, 2]) * arc**3 / BENDS / (spread * distance)

@@ -19,7 +19,7 @@ from threadpoolctl import ThreadpoolController
 from extremal.estimator.camera import Array
 from extremal.estimator.epipolar import LEAST_CERTAINTY
 from extremal.estimator.errors import InvalidInput
-from extremal.estimator.poses import square_root
+from extremal.estimator.poses import pose_root
 from extremal.tasks.compiled import compiled
 from extremal.tasks.features import Features
 from extremal.tasks.rigid import is_finite
@@ -150,7 +150,5 @@ class PoseRoots:
         if key != self._key:
             if covariance.shape != (6, 6) or not np.all(np.isfinite(covariance)):
                 raise InvalidInput(f"pose covariance is {covariance.shape}; accepted: finite numbers (6, 6)")
-            root = square_root(covariance[None])[0]
-            self._root = np.pad(root, ((0, 0), (0, 6 - root.shape[1]))) if root.shape[1] else root
-            self.baseline, self._key = first_baseline(covariance), key
+            self._root, self.baseline, self._key = pose_root(covariance), first_baseline(covariance), key
         return self._root

@@ -18,7 +18,6 @@ import numpy as np
 from numpy.linalg import norm
 from scipy.linalg import cho_solve, solve_triangular
 from scipy.spatial.transform import RigidTransform
-from threadpoolctl import threadpool_limits
 
 from extremal.estimator.camera import Array
 from extremal.estimator.elimination import Cameras, Linearised, linearise_all
@@ -26,6 +25,7 @@ from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.marginals import Shapes, marginals
 from extremal.estimator.poses import PosePrior
 from extremal.estimator.support import CIRCLE, FIXED, Features, Sections
+from extremal.estimator.threads import one_blas_thread
 
 STEPS = 40
 SETTLED = 1e-2  # standard deviations of the posterior, over all unknowns together: a shorter step ends the iteration
@@ -141,7 +141,7 @@ def adjust(
             f"start is {start.shape}, up to {np.max(np.abs(start), initial=0.0):.3g}; accepted: ({prior.unknowns},), of "
             f"numbers below {UNHEARD_OF:g}"
         )
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(2) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(2) as pool:
         solver = _Solver(prior, list(features), overlap, pool)
         state, converged, steps = solver.solve(start)
         return solver.adjustment(state, converged, steps)
@@ -153,7 +153,7 @@ def survey(prior: PosePrior, features: Features, adjustment: Adjustment) -> Shap
     That is right for other features, and for the same ones where these had had more parameters: what has told of the
     cameras then is no part of what tells of their shape.
     """
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(2) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(2) as pool:
         solver = _Solver(prior, [features], 1.0, pool)
         theta, robust = np.zeros((len(features), features.width)), np.ones(features.sigma.shape)
         state = solver.evaluate(adjustment.u, [theta], [robust])

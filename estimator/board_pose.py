@@ -75,7 +75,7 @@ def board_pose(camera: Camera, board: Board, corners: Corners) -> BoardPose:
         DegenerateGeometry: fewer than six corners, corners on one line, or corners that two poses explain.
         InvalidInput: a covariance that is not positive definite.
     """
-    points = board.corners[corners.ids]
+    points = corners.on(board)
     _check_layout(board, points)
     sighting = _Sighting(camera, points, corners.pixels, _whitening(corners.covariance))
     poses = [_refined(sighting, start) for start in _starts(camera, points, corners.pixels)]

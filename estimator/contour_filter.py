@@ -26,9 +26,8 @@ START, WINDOW = 14, 2  # views that are linearised anew: at the start, until dep
 RANK = 30  # combinations of past camera errors that are kept
 OWN_SAY = 0.75  # of what a view itself says of where it is linearised for good, the part that is taken out
 ACROSS_PRIOR, RADIUS_PRIOR = 0.1, 0.06  # [m] sigma of s and R at first; only predictions feel it
-FINEST = (
-    1e-8  # [rad] below it rounding, the squares of what poses leave open against this, is the largest error
-)
+FINEST = 1e-8  # [rad] below it rounding, squares of what poses leave open against this, is the largest error
+UNIT, NEARLY = 1e-6, 1e-2  # what frames may be off by; and lengths of normals, which edge errors change
 COLLAPSED = 10.0  # logarithm of the map's scale against the robot's, which no arm is wrong by
 OPEN = 1e-3  # of the information of the prior, for sections that the planes don't determine
 
@@ -69,20 +68,24 @@ class ContourFilter:
             sigma_depth: (n,) [m] standard deviation of the origin along T_0, to start from; the estimates don't contain it.
             overlap: number of neighbouring sections that repeat each other's errors, as in `adjustment.adjust`.
 
-        Raises InvalidInput for other shapes, numbers that are not finite, a sigma_depth that is not positive, or overlap < 1.
+        Raises InvalidInput for other shapes, numbers that are not finite, frames that are not orthonormal, a
+        sigma_depth that is not positive, or overlap < 1.
         """
         n = len(origin)
         shapes = np.shape(origin), np.shape(frame), np.shape(sigma_depth)
-        if shapes != ((n, 3), (n, 3, 3), (n,)) or not (
-            np.all(np.isfinite(origin)) and np.all(np.isfinite(frame))
-        ):
+        if shapes != ((n, 3), (n, 3, 3), (n,)) or not np.all(np.isfinite(origin)):
             raise InvalidInput(
                 f"origin, frame, sigma_depth are {shapes}; accepted: finite numbers of shapes (n, 3), (n, 3, 3), (n,)"
             )
-        if not np.all(sigma_depth > 0):
-            raise InvalidInput(f"sigma_depth is {sigma_depth!r}; accepted: positive numbers [m]")
-        if not overlap >= 1:
-            raise InvalidInput(f"overlap is {overlap!r}; accepted: a number from 1")
+        off = np.abs(frame @ np.swapaxes(frame, 1, 2) - np.eye(3)).max(initial=0.0)
+        if not off < UNIT:
+            raise InvalidInput(
+                f"rows of a frame are {off:.2g} from orthonormal ones; accepted: below {UNIT:g}"
+            )
+        if not np.all((sigma_depth > 0) & np.isfinite(sigma_depth)):
+            raise InvalidInput(f"sigma_depth is {sigma_depth!r:.200}; accepted: positive numbers [m]")
+        if not 1 <= overlap < np.inf:
+            raise InvalidInput(f"overlap is {overlap!r}; accepted: a finite number from 1")
         self._overlap = overlap
         self.fixed, self.count = np.zeros(n, bool), 0
         self._origin, self._frame, self._theta = origin, frame, np.zeros((n, 3))
@@ -137,8 +140,9 @@ class ContourFilter:
             self._absorb()
 
     def _check(self, believed: Array, root: Array, normals: Array, sigma: Array) -> None:
-        n = len(self.fixed)
-        K = self._map.first.root.shape[2] if self.count else root.shape[-1]
+        n = len(self._origin)
+        self._check_fixed(self.fixed)
+        K = self._map.first.root.shape[2] if self.count else (*np.shape(root), 0, 0)[1]
         shapes = believed.shape, root.shape, normals.shape, np.shape(sigma)
         if shapes != ((4, 4), (6, K), (n, 3), (n,)):
             raise InvalidInput(
@@ -149,9 +153,17 @@ class ContourFilter:
                 raise InvalidInput(f"{name} of a view holds a number that is not finite")
         if not np.all(sigma >= FINEST):
             raise InvalidInput(
-                f"sigma of a tangent plane is {np.min(sigma):.3g}; accepted: positive angles from {FINEST:g} rad, infinite "
-                "ones to leave it out"
+                f"sigma of a tangent plane is {np.min(sigma):.3g}; accepted: positive from {FINEST:g} rad; infinite: left out"
             )
+        off = np.abs(np.linalg.norm(normals[np.isfinite(sigma)], axis=1) - 1).max(initial=0.0)
+        if not off < NEARLY:
+            raise InvalidInput(
+                f"the length of a tangent plane's normal is {off:.2g} from 1; accepted: unit normals"
+            )
+
+    def _check_fixed(self, fixed: np.ndarray) -> None:
+        if fixed.shape != (n := len(self._origin),) or fixed.dtype != bool:
+            raise InvalidInput(f"fixed is {fixed.dtype} {fixed.shape}; accepted: bool ({n},)")
 
     def _start(self, first: Views) -> None:
         """The first view: its pose error is shared by all others, and in the map it has none itself."""
@@ -182,6 +194,8 @@ class ContourFilter:
         root = self._map.first.root[0] if self.count == 1 else self._window.root[-1]
         at = np.arange(K) - (0 if self.count == 1 else K)
         self.pose_covariance = root @ found.covariance[np.ix_(at, at)] @ root.T
+        if not np.all(np.isfinite(self.pose_covariance)):
+            raise DegenerateGeometry("poses are beyond double precision; accepted: roots that could be")
 
     def _with(self, common: Array) -> SceneMap:
         """The map with what views share as it was found."""
@@ -227,13 +241,23 @@ class ContourFilter:
         border[:, 1, FORCE], load[FORCE] = weight, weight @ self._theta[:, 1]
         self._known = replace(self._known, border=border, load=load)
 
+    def _require_views(self) -> None:
+        if self.count == 0:
+            raise DegenerateGeometry("no view was taken in yet; accepted: estimates after one or more")
+
     @property
     def T_world_camera(self) -> RigidTransform:
-        """Pose of the latest view."""
+        """Pose of the latest view; DegenerateGeometry before there is one."""
+        self._require_views()
         return RigidTransform.from_matrix(self._map.first_pose if self.count == 1 else self._window.poses[-1])
 
     def sections(self, fixed: np.ndarray) -> SectionEstimates:
-        """Estimates if the sections `fixed` (n,) are: the same information as in `adjustment.adjust`, of order 2 for these."""
+        """Estimates if the sections `fixed` (n,) are: the same information as in `adjustment.adjust`, of order 2 for these.
+
+        Raises DegenerateGeometry before the first view.
+        """
+        self._require_views()
+        self._check_fixed(fixed)
         system = self._system(self._map.rows(self._window, self._theta))
         resolved = _resolved(system.blocks)
         open_ = np.where(resolved, 0.0, OPEN)[:, None, None] * self._prior
@@ -264,7 +288,7 @@ class ContourFilter:
 
 
 def _root(covariance: Array) -> Array:
-    """Square root of a covariance that rounding may have left with small negative variances."""
+    """Square root of a covariance, of which rounding may have left small negative variances."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 

@@ -10,16 +10,20 @@ the white squares a known gap away. All of this is symmetric about the corner bu
 a little bent and whatever else is alike on both sides does not move it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import ndtr
 
 from extremal.estimator.camera import Array
+from extremal.estimator.errors import InvalidInput
 
 RADIUS = 10  # [px] of the largest window
 CLEAR = 2.5  # standard deviations of the blur that the window stays away from what is not in the model
 FEWEST = 40  # pixels
+FINEST = 0.01  # [px] of blur
+LEAST_AREA = 1.0  # [px^2] of a square in the image
+FARTHEST = 1000.0  # [px] beyond the image, from which on nothing is a window
 STEPS = 12
 SETTLED = 2e-4  # [px]
 LONGEST = np.array(
@@ -39,6 +43,8 @@ class Windows:
         dark: (n,) 1 where the squares towards (+, +) and (-, -) are black, -1 where they are white.
         gap, ring: [squares] from the corner to the markers beside it, and the width of their black border.
         blur: (2,) [px] across either edge, expected.
+
+    Raises InvalidInput for other shapes, and numbers that are none of these. Centres and derivatives need not be finite.
     """
 
     centre: Array
@@ -48,6 +54,26 @@ class Windows:
     gap: float
     ring: float
     blur: Array
+
+    def __post_init__(self) -> None:
+        n = len(np.atleast_1d(self.centre))
+        names, accepted = ("centre", "first", "second", "dark"), ((n, 2), (n, 2, 2), (n, 2, 2, 2), (n,))
+        for name, shape in zip(names, accepted, strict=True):
+            if np.shape(getattr(self, name)) != shape:
+                raise InvalidInput(f"{name} of windows is {np.shape(getattr(self, name))}; accepted: {shape}")
+        if not np.all(np.abs(self.dark) == 1):
+            raise InvalidInput(
+                f"dark of windows holds {np.unique(self.dark)[:5].tolist()}; accepted: 1 and -1"
+            )
+        for name in ("gap", "ring"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise InvalidInput(
+                    f"{name} of windows is {getattr(self, name)!r}; accepted: 0 to 1 [squares]"
+                )
+        if np.shape(self.blur) != (2,) or not np.all((self.blur >= FINEST) & (self.blur <= RADIUS)):
+            raise InvalidInput(
+                f"blur of windows is {self.blur!r}; accepted: two numbers from {FINEST} to {RADIUS} px"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +99,19 @@ class CornerFit:
 def fit_corners(grey: Array, windows: Windows) -> CornerFit:
     """Fit all corners at once in an image (height, width) of grey levels (Gauss and Newton).
 
-    A corner whose window is not all inside the image has not settled.
+    A corner whose window is not all inside the image, or not known in finite numbers, has not settled.
+
+    Raises InvalidInput for an image of another shape, or with grey levels that are not finite.
     """
+    if np.ndim(grey) != 2 or 0 in np.shape(grey) or not np.all(np.isfinite(grey)):
+        raise InvalidInput(f"grey levels are {np.shape(grey)}; accepted: finite numbers (height, width)")
+    windows, sound = _sound(windows, grey.shape)
     pixels, inside = _pixels(grey.shape, windows.centre)
     values = grey[pixels[..., 1], pixels[..., 0]].astype(float)
     d = _straightened(pixels - windows.centre[:, None], windows)
     inverse = np.linalg.inv(windows.first)
     mask = _mask(d @ np.swapaxes(inverse, 1, 2), windows, inverse)
-    large = (mask.sum(axis=1) >= FEWEST) & ~np.any(mask & ~inside, axis=1)
+    large = sound & (mask.sum(axis=1) >= FEWEST) & ~np.any(mask & ~inside, axis=1)
     mask &= large[:, None]
     model = _Model(d, mask, inverse, windows)
     p = np.tile(np.append(np.zeros(4), np.log(windows.blur)), (len(d), 1))
@@ -93,6 +124,20 @@ def fit_corners(grey: Array, windows: Windows) -> CornerFit:
     variance, covariance, contrast = model.quality(p, values)
     settled = large & np.all(np.abs(step[:, :2]) < 10 * SETTLED, axis=1)
     return CornerFit(windows.centre + p[:, :2], covariance, variance, contrast, np.exp(p[:, 4:]), settled)
+
+
+def _sound(windows: Windows, shape: tuple[int, ...]) -> tuple[Windows, np.ndarray]:
+    """Windows with those replaced that are far from the image, squeezed or not finite; and which (n,) are as they were."""
+    n = len(windows.centre)
+    numbers = [np.reshape(getattr(windows, name), (n, -1)) for name in ("centre", "first", "second")]
+    sound = np.all(np.abs(np.concatenate(numbers, axis=1)) < 2.0 * max(shape) + FARTHEST, axis=1)
+    first = np.where(sound[:, None, None], windows.first, np.eye(2))
+    sound &= np.abs(np.linalg.det(first)) > LEAST_AREA
+    kept = (
+        np.where(sound.reshape(-1, *[1] * (value.ndim - 1)), value, instead)
+        for value, instead in ((windows.centre, 0.0), (windows.first, 10 * np.eye(2)), (windows.second, 0.0))
+    )
+    return replace(windows, **dict(zip(("centre", "first", "second"), kept, strict=True))), sound
 
 
 def _pixels(shape: tuple[int, ...], centre: Array) -> tuple[np.ndarray, np.ndarray]:

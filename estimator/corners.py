@@ -33,9 +33,11 @@ class Corners:
     """Chessboard corners found in an image.
 
     Attributes:
-        ids: (n,) indices into the board's corners, increasing.
+        ids: (n,) indices into the board's corners.
         pixels: (n, 2) where they are seen.
-        covariance: (n, 2, 2) [px^2] of `pixels`.
+        covariance: (n, 2, 2) [px^2] of `pixels`, positive definite.
+
+    Raises InvalidInput for other shapes, negative or repeated ids, and numbers that are none of these.
     """
 
     ids: NDArray[np.integer]
@@ -49,6 +51,23 @@ class Corners:
                 f"corners have ids {self.ids.shape}, pixels {self.pixels.shape} and covariance {self.covariance.shape}; "
                 "accepted: (n,), (n, 2) and (n, 2, 2)"
             )
+        whole = n == 0 or np.issubdtype(self.ids.dtype, np.integer)
+        if not (whole and np.all(self.ids >= 0) and len(np.unique(self.ids)) == n):
+            raise InvalidInput(
+                f"ids of corners are {self.ids.tolist()!r:.200}; accepted: different whole numbers from 0"
+            )
+        if not np.all(np.isfinite(self.pixels)):
+            raise InvalidInput("pixels of corners hold a number that is not finite")
+        (a, b), (c, d) = np.moveaxis(self.covariance, 0, -1)
+        if not np.all((a > 0) & (d > 0) & (np.abs(b - c) <= 1e-9 * (a + d)) & (a * d - b * c > 0)):
+            raise InvalidInput("a covariance of corners is not symmetric and positive definite")
+
+    def on(self, board: Board) -> Array:
+        """(n, 3) [m] where they are on the board; InvalidInput where it has no such corner."""
+        most = len(board.corners) - 1
+        if np.any(self.ids > most):
+            raise InvalidInput(f"a corner has the id {self.ids.max()}; accepted: 0 to {most}, the board's")
+        return board.corners[self.ids]
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -68,8 +87,12 @@ def find_corners(image: NDArray[np.uint8], camera: Camera | None, board: Board) 
     Args:
         image: grey (height, width) or RGB (height, width, 3).
         camera: whose response to light is undone; None: grey levels are taken to be proportional to light.
+
+    Raises InvalidInput for an image of another shape or type, or without pixels.
     """
     grey = (camera or Camera()).linear(image)
+    if grey.size == 0:
+        raise InvalidInput(f"image is {image.shape}; accepted: one or more pixels")
     width = grey.shape[1]
     lattice = board.corners[:, :2] / board.square
     markers = _markers(image, board)

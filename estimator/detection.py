@@ -55,7 +55,7 @@ def detect_chains(grey: np.ndarray, noise: float, ignored: np.ndarray | None = N
     gradient = np.zeros_like(grey)
     gradient[y, x] = np.hypot(dx[y, x], dy[y, x])
     free = edges if ignored is None else np.where(ignored, 0, edges).astype(np.uint8)
-    pixels, chain = _link(_without_junctions(free))
+    pixels, chain = _link(_simple(free))
     positions = _subpixel(pixels, dx, dy)
     positions, chain = _split_at_corners(positions, chain)
     return _directed(positions, chain, dx, dy, gradient)
@@ -67,16 +67,36 @@ _CROSSINGS = np.array(
 )
 
 
-def _without_junctions(edges: np.ndarray) -> np.ndarray:
-    """Edge mask without the pixels at which three or more branches meet, nor the image's border."""
+def _spare(side: int) -> np.ndarray:
+    """In which neighbourhoods (256,) a pixel is the corner of a stair, between the one above it and one at its `side` (a bit), and
+    all others hang together without it."""
+    spare = np.zeros(256, bool)
+    for code in range(256):
+        has = [bool(code >> i & 1) for i in range(8)]
+        # pixels above and beside touch each other whether the one between them is there or not
+        joined = [has[i] or (i % 2 == 0 and has[i - 1] and has[(i + 1) % 8]) for i in range(8)]
+        spare[code] = has[1] and has[side] and _CROSSINGS[sum(1 << i for i in range(8) if joined[i])] == 1
+    return spare
+
+
+# one after the other: corners of stairs that go down, or up, and then where three or more branches meet
+_CUTS = (_spare(3), _spare(7), _CROSSINGS >= 3)
+
+
+def _simple(edges: np.ndarray) -> np.ndarray:
+    """Edge mask of lines that are one pixel wide, without the corners of stairs, junctions, and the image's border.
+
+    With corners, a line would be two: there along one side of its stairs, and back along the other.
+    """
     mask = (edges > 0).astype(np.uint8)
     mask[:2], mask[-2:], mask[:, :2], mask[:, -2:] = 0, 0, 0, 0
     y, x = np.divmod(np.flatnonzero(mask.ravel() > 0), mask.shape[1])
-    code = np.zeros(len(y), np.uint8)
-    for bit, (dy, dx) in enumerate(_RING):
-        code |= mask[y + dy, x + dx] << bit
-    junction = _CROSSINGS[code] >= 3
-    mask[y[junction], x[junction]] = 0
+    for cut in _CUTS:
+        code = np.zeros(len(y), np.uint8)
+        for bit, (dy, dx) in enumerate(_RING):
+            code |= mask[y + dy, x + dx] << bit
+        mask[y[cut[code]], x[cut[code]]] = 0
+        y, x = y[~cut[code]], x[~cut[code]]
     return mask
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from threadpoolctl import threadpool_limits
 
 from extremal.estimator.camera import Array, View
 from extremal.estimator.circle_filter import CircleFilter
@@ -20,15 +19,18 @@ from extremal.estimator.epipolar import SHORTEST_BASELINE, Sequence3D
 from extremal.estimator.errors import DegenerateGeometry, InvalidInput
 from extremal.estimator.estimates import DRIFT, LEAST_VIEWS, OVERLAP, fit_circles
 from extremal.estimator.joint import sections_of
-from extremal.estimator.matching import EdgelMap, cross, reach_of
+from extremal.estimator.matching import ALIKE, EdgelMap, cross, reach_of
 from extremal.estimator.poses import pose_root
 from extremal.estimator.references import bootstrap
+from extremal.estimator.threads import one_blas_thread
 from extremal.estimator.tracking import GATE, LEAST_GATE, NEAREST, PARALLEL, track
 
 ROUGH = 0.04  # of the distance: sigma of a depth from the first views
 LEAST_IN_STEP = 12  # matches from which on they tell of the pose that they share
 IN_STEP_ROUNDS = 6
 LEAST_SPREAD = 0.1  # [px] of predictions among each other
+COMPANY = 6.0  # [px] across, within which another edge may be taken for a contour, where both are off by errors of pose
+ABREAST = 3.0  # [px] along, to the next edgel of an edge that runs beside it
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
 
 
@@ -98,7 +100,7 @@ class SequentialShape:
 
         Raises InvalidInput for a pose covariance that is not positive semi-definite.
         """
-        with threadpool_limits(1, "blas"):
+        with one_blas_thread():
             contours = contours or find_contours(view.image, view.camera)
             if self.started:
                 self._follow(view, contours)
@@ -167,6 +169,7 @@ class SequentialShape:
         gate = LEAST_GATE / view.camera.fx + GATE * np.hypot(spread, sigma)
         ok = found.found & (np.abs(self._circles.innovation(view.centre, points, found.rays)) < gate)
         ok = in_step(ok, view, points, found.tangent_planes @ sequence.rotations[0])
+        ok[ok] = ~in_company(contours, found.pixels[ok])
         across = np.cross(found.rays, self._planes.normal)
         across *= np.where(across @ self._travel < 0, -1.0, 1.0)[:, None]
         tilt = np.sum(found.tangent_planes * across, axis=1) / np.linalg.norm(across, axis=1)
@@ -255,6 +258,19 @@ def in_step(ok: np.ndarray, view: View, points: Array, normals: Array) -> np.nda
     alike = np.zeros_like(ok)
     alike[rows] = np.abs(left) < LEAST_GATE / view.camera.fx + GATE * scale
     return alike
+
+
+def in_company(contours: Contours, pixels: Array) -> np.ndarray:
+    """Beside which of pixels (n, 2) on contours another contour runs, for which it could be taken."""
+    if len(contours.positions) == 0:
+        return np.zeros(len(pixels), bool)
+    apart = contours.positions - pixels[:, None]
+    nearest = np.argmin(np.sum(apart**2, axis=2), axis=1)
+    normals, contour = contours.normals[nearest], contours.contour[nearest]
+    across = np.abs(np.einsum("nmi,ni->nm", apart, normals))
+    along = np.abs(apart[..., 0] * normals[:, None, 1] - apart[..., 1] * normals[:, None, 0])
+    beside = (across < COMPANY) & (along < ABREAST) & (contours.contour != contour[:, None])
+    return np.any(beside & (np.abs(normals @ contours.normals.T) > ALIKE), axis=1)
 
 
 def _slid(curvature: Array, pose_sigma: Array) -> Array:

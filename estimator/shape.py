@@ -8,7 +8,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from threadpoolctl import threadpool_limits
 
 from extremal.estimator.camera import Array, View
 from extremal.estimator.contours import Contours, find_contours
@@ -24,6 +23,7 @@ from extremal.estimator.estimates import (
 from extremal.estimator.joint import joint_estimate
 from extremal.estimator.matching import EdgelMap, reach_of
 from extremal.estimator.poses import PosePrior
+from extremal.estimator.threads import one_blas_thread
 from extremal.estimator.tracking import Tracks, track
 
 CONFIDENCE = 1.96  # standard deviations: 95 % (eq. 3.27)
@@ -119,7 +119,7 @@ def shape_from_contours(
     if len(contours) != len(views):
         raise InvalidInput(f"contours of {len(contours)} views; accepted: {len(views)}, as there are views")
     sequence, reference = Sequence3D.of(views), len(views) // 2
-    with threadpool_limits(1, "blas"):  # many small matrices: views are spread over the processors instead
+    with one_blas_thread():  # many small matrices: views are spread over the processors instead
         reach = reach_of(sequence)
         maps = [
             EdgelMap(c, v.camera.width, v.camera.height, reach) for c, v in zip(contours, views, strict=True)
@@ -159,7 +159,7 @@ def all_contours(views: Sequence[View], progress: Callable[[int, int], None] | N
     def find(view: View) -> Contours:
         return find_contours(view.image, view.camera, view.ignored)
 
-    with threadpool_limits(1, "blas"), ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
+    with one_blas_thread(), ThreadPoolExecutor(min(len(views), os.cpu_count() or 1)) as pool:
         found = []
         for contours in pool.map(find, views):
             found.append(contours)

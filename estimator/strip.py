@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from extremal.estimator.camera import Array, View
 from extremal.estimator.contours import LONGEST_GAP, Contours
@@ -23,6 +22,7 @@ from extremal.estimator.poses import PosePrior, square_root
 from extremal.estimator.projection import adjoint
 from extremal.estimator.strip_arcs import Arcs, fit_arcs
 from extremal.estimator.strip_grid import grid_faces, grid_normals, normal_sigma
+from extremal.estimator.threads import one_blas_thread
 from extremal.estimator.tracking import Tracks, track
 from extremal.estimator.uncertainty import pose_angle_sigma
 
@@ -111,7 +111,7 @@ def recover_strip(
             f"contours of {len(contours)} and {len(prior.T_world_camera)} poses for {len(views)} views; accepted: as many of each"
         )
     reference = len(views) // 2
-    with threadpool_limits(1, "blas"):
+    with one_blas_thread():
         reach = reach_of(sequence)
         maps = [
             EdgelMap(c, v.camera.width, v.camera.height, reach) for c, v in zip(contours, views, strict=True)

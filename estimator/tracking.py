@@ -22,7 +22,7 @@ from extremal.estimator.slant import smoothed_tangent_planes
 NEAREST, FARTHEST = 0.15, 4.0  # [m] depths that are searched
 SWEEP_STEP = 1.5  # [px] between depths of the sweep, in the farthest view it uses
 SWEEP_VIEWS = 4
-SWEEP_WIDTH = 1.2  # [px] how near to a contour counts in the sweep
+SWEEP_WIDTH = 1.2  # [px] how near to a contour counts in the sweep, where poses are exact
 SUPPORT = 7  # edgels along the contour that vote together in the sweep
 PARALLEL = (
     0.08  # sine of the angle to its epipolar line below which a contour is followed, but not matched along it
@@ -163,7 +163,9 @@ def _sweep(
         normal = contours[view].normals[there]
         alike = np.sum(wanted[hit // len(inverse)] * normal, axis=1) > ALIKE
         off = np.sum((at.reshape(-1, 2)[hit] - contours[view].positions[there]) * normal, axis=1)
-        score.ravel()[hit] += alike * np.exp(-0.5 * (off / SWEEP_WIDTH) ** 2)
+        pose = np.hypot(*(sequence.pose_sigma(v, 1 / inverse) for v in (reference, view)))
+        width = np.hypot(SWEEP_WIDTH, pose * sequence.cameras[view].fx)[hit % len(inverse)]
+        score.ravel()[hit] += alike * np.exp(-0.5 * (off / width) ** 2)
     total, neighbours = window_sum(score, contours[reference].contour, SUPPORT // 2)
     pooled = total / neighbours[:, None]
     best = np.argmax(pooled, axis=1)

@@ -206,6 +206,6 @@ ARMS: dict[str, ArmErrors] = {
 
 def get_arm(name: str) -> ArmErrors:
     """The preset of this name; InvalidInput lists the names there are."""
-    if name not in ARMS:
+    if not isinstance(name, str) or name not in ARMS:
         raise InvalidInput(f"arm is {name!r}; accepted: {', '.join(ARMS)}")
     return ARMS[name]

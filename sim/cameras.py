@@ -60,6 +60,6 @@ CAMERAS = {
 
 def get_camera(name: str) -> CameraPreset:
     """A camera by its name; InvalidInput lists the names."""
-    if name not in CAMERAS:
+    if not isinstance(name, str) or name not in CAMERAS:
         raise InvalidInput(f"camera is {name!r}; accepted: {', '.join(CAMERAS)}")
     return CAMERAS[name]

@@ -15,7 +15,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import ExtremalError, InvalidInput
-from extremal.sim.arm import JOINTS, add_arm
+from extremal.sim.arm import JOINT_LIMITS, JOINTS, add_arm
 from extremal.sim.chain import ArmGeometry
 from extremal.sim.warnings import warning_counts, warnings_of
 
@@ -26,6 +26,7 @@ KP = np.array([10000.0, 10000.0, 10000.0, 2500.0, 2500.0, 2500.0])  # [N m / rad
 KD = KP / 25  # [N m s / rad]
 TORQUES = (150.0, 150.0, 150.0, 28.0, 28.0, 28.0)  # [N m]
 ARMATURE = 0.1  # [kg m^2]
+FARTHEST = float(np.max(np.abs(JOINT_LIMITS)))  # [rad] a joint gets from zero
 RUNAWAY = 100.0  # [rad/s] no sound arm reaches this
 STANDING = 1e-3  # between positions that are passed, at least [rad]: else no time would pass
 
@@ -86,7 +87,14 @@ class Execution:
         return self.path(self.shots)
 
     def exposure(self, view: int, parts: int) -> Array:
-        """Joint positions (parts, 6) [rad] in the middle of equal parts of the exposure of a view."""
+        """Joint positions (parts, 6) [rad] in the middle of equal parts of the exposure of a view.
+
+        Raises InvalidInput for a view that there is not, or no parts.
+        """
+        if not 0 <= view < len(self.shots) or parts < 1:
+            raise InvalidInput(
+                f"{parts!r} parts of the exposure of view {view!r}; accepted: one or more, views 0 to {len(self.shots) - 1}"
+            )
         middles = (np.arange(parts) + 0.5) / parts - 0.5
         return self.path(self.shots[view] + self.exposure_time * middles)
 
@@ -107,12 +115,18 @@ def execute(
 
     Raises:
         ArmNotSettled: the arm is not at rest within `drive.settle`.
+        InvalidInput: positions of another shape or beyond what any joint reaches, a base without one finite pose, an
+            exposure that is none.
     """
     drive, commanded = drive or Drive(), np.asarray(commanded, float)
-    if commanded.shape[1:] != (6,) or len(commanded) < 2 or not np.all(np.isfinite(commanded)):
+    # also how long a motion may take depends on it
+    if commanded.shape[1:] != (6,) or len(commanded) < 2 or not np.all(np.abs(commanded) <= FARTHEST):
         raise InvalidInput(
-            f"commanded joint positions are {commanded.shape}; accepted: finite numbers (V, 6) [rad], two or more"
+            f"commanded joint positions are {commanded.shape}, up to {np.max(np.abs(commanded), initial=0.0):.3g} rad; accepted: "
+            f"(V, 6), two or more, up to {FARTHEST:.3g} rad"
         )
+    if not (T_world_base.single and np.all(np.isfinite(T_world_base.as_matrix()))):
+        raise InvalidInput("T_world_base is not one transform of finite numbers")
     if not 0 <= exposure_time <= 10:
         raise InvalidInput(f"exposure time is {exposure_time!r}; accepted: 0 to 10 s")
     arm = _PhysicalArm(geometry, T_world_base, commanded[0])
@@ -164,6 +178,7 @@ def _passage(commanded: Array, drive: Drive, exposure_time: float) -> CubicSplin
         np.max(np.abs(spline(dense, 1))) / drive.speed,
         np.sqrt(np.max(np.abs(spline(dense, 2))) / drive.acceleration),
         exposure_time / np.min(np.diff(times)),
+        STEP / times[-1],  # even where nothing moves
     )
     return CubicSpline(stretch * times, commanded, bc_type="clamped")
 

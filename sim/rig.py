@@ -37,6 +37,8 @@ class Rig:
         arm, camera_name: presets' names; "real" where the rig is drawn from a calibration of a real one.
         root: (33, C) square root of the covariance of actual minus believed `INTRINSICS`, `ARM_PARAMETERS` and mounting
             (twist (translation [m], rotation vector [rad]) in the camera frame).
+
+    Raises InvalidInput for another root.
     """
 
     camera: Camera
@@ -49,12 +51,20 @@ class Rig:
     arm: str
     camera_name: str
 
+    def __post_init__(self) -> None:
+        rows = len(INTRINSICS) + len(ARM_PARAMETERS) + len(HAND_EYE)
+        if self.root.ndim != 2 or len(self.root) != rows or not np.all(np.isfinite(self.root)):
+            raise InvalidInput(f"root of a rig is {self.root.shape}; accepted: finite numbers ({rows}, any)")
+
     @staticmethod
     def individual(arm: str, camera: str, seed: int) -> "Rig":
         """The arm number `seed` of a kind, with a camera whose intrinsics are known, believed to be as the data sheet says.
 
-        Raises InvalidInput for an unknown arm or camera; the message lists the names.
+        Raises InvalidInput for an unknown arm or camera, the message lists the names, and for a seed that is no whole number
+        from 0.
         """
+        if isinstance(seed, bool) or not (isinstance(seed, int | np.integer) and seed >= 0):
+            raise InvalidInput(f"seed of an arm is {seed!r}; accepted: a whole number from 0")
         errors, preset = get_arm(arm), get_camera(camera)
         geometry = errors.draw(np.random.default_rng([_INDIVIDUAL, seed]))
         sigma = np.concatenate([np.zeros(len(INTRINSICS)), errors.parameters, errors.hand_eye])
@@ -87,7 +97,14 @@ class Rig:
         return self.root[: len(INTRINSICS)]
 
     def prior(self, readings: Array, T_world_base: RigidTransform) -> PosePrior:
-        """What is known of T_world_camera (V) at encoder readings (V, 6) [rad]."""
+        """What is known of T_world_camera (V) at encoder readings (V, 6) [rad].
+
+        Raises InvalidInput for readings of another shape or that are not finite, and for a base without one finite pose.
+        """
+        if readings.ndim != 2 or readings.shape[1] != 6 or not np.all(np.isfinite(readings)):
+            raise InvalidInput(f"readings are {readings.shape}; accepted: finite numbers (V, 6) [rad]")
+        if not (T_world_base.single and np.all(np.isfinite(T_world_base.as_matrix()))):
+            raise InvalidInput("T_world_base is not one transform of finite numbers")
         by_parameters = self.believed.camera_derivatives(readings)
         by_intrinsics = np.broadcast_to(turning(self.believed_camera), (len(readings), 6, len(INTRINSICS)))
         return PosePrior(

@@ -134,5 +134,30 @@ def line(start: Array, end: Array, spacing: float, turn: float) -> Array:
 
 
 @compiled
+def straight_to(
+    chain: Chain,
+    q: Array,
+    tool: Array,
+    goal: Array,
+    spacing: float,
+    turn: float,
+    limits: Array,
+    residual: float,
+    longest: float,
+) -> tuple[Array, bool]:
+    """The path (K + 1, 6) from q (6,) on which a tool, T_flange_tool (4, 4), goes along a `line` to a pose (4, 4), and whether it gets
+    there: see `straight`.
+
+    Raises LinAlgError at a singularity.
+    """
+    poses = line(product(flange_frames(chain, q)[6], tool), goal, spacing, turn)
+    flange, back = np.empty(poses.shape), inverse(tool)
+    for i in range(len(poses)):
+        put_product(flange[i], poses[i], back)
+    path, count = straight(chain, q, flange, limits, residual, longest)
+    return path, count == len(poses)
+
+
+@compiled
 def _column(m: Array, j: int) -> Vector:
     return m[0, j], m[1, j], m[2, j]

@@ -99,7 +99,7 @@ class EdgeGeometry:
 
     def advance(self, contacts: Contacts, centre: Array, planes: Array) -> Contacts:
         """The contacts as seen from a centre (3,), in planes through it with normals (n, 3)."""
-        points, normals, there, u = _advanced(
+        points, normals, there, u = advanced(
             self.solids, self.fixed, contacts.points, contacts.normals, contacts.surface, contacts.curve, contacts.u,
             tuple(centre.tolist()), np.ascontiguousarray(planes),
         )  # fmt: skip
@@ -108,7 +108,7 @@ class EdgeGeometry:
     def limbs(self, k: int, start: Array, centre: Array, planes: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Points (n, 3) near `start` where the limb of surface k seen from a centre (3,) meets planes, and where there are any."""
         n = len(start)
-        points, _, ok, _ = _advanced(
+        points, _, ok, _ = advanced(
             self.solids, self.fixed, start, start, np.full(n, k), np.full(n, -1), np.zeros(n), tuple(centre.tolist()), planes
         )  # fmt: skip
         return points, ok
@@ -119,7 +119,7 @@ class EdgeGeometry:
 
 
 @compiled
-def _advanced(
+def advanced(
     solids: Solids,
     curves: FixedCurves,
     points: Array,
@@ -230,13 +230,13 @@ def _faces(curves: FixedCurves, i: int, ray: Vector) -> bool:
 
 @compiled
 def sampled_curves(
-    curves: FixedCurves, every: int, centre: Vector
+    curves: FixedCurves, every: int, centre: Vector, forward: Vector, cosine: float
 ) -> tuple[Array, NDArray[np.integer], Array, Array, NDArray[np.bool_]]:
     """Samples of fixed curves, n in all: u (n,), curves (n,), points (n, 3), normals of tangent planes (n, 3) through a centre [m],
-    and whether (n,) a face beside them looks there; zero normals where none does."""
+    and whether (n,) they lie in the cone about a unit vector `forward` and a face beside them looks back; zero where not."""
     n = (len(curves.points) + every - 1) // every
     u, curve, ok = np.empty(n), np.zeros(n, np.int64), np.empty(n, np.bool_)
-    points, normals = np.empty((n, 3)), np.zeros((n, 3))
+    points, normals = np.zeros((n, 3)), np.zeros((n, 3))
     c = 0
     for j in range(n):
         while j * every > curves.last[c]:
@@ -244,10 +244,10 @@ def sampled_curves(
         i = j * every
         u[j], curve[j], point = i, c, row(curves.points, i)
         ray = plus(point, -1.0, centre)
-        put(points, j, point)
         i = min(i, curves.last[c] - 1)
-        ok[j] = _faces(curves, i, ray)
+        ok[j] = dot(ray, forward) > cosine * math.sqrt(dot(ray, ray)) and _faces(curves, i, ray)
         if ok[j]:
+            put(points, j, point)
             chord = plus(row(curves.points, i + 1), -1.0, row(curves.points, i))
             put(normals, j, unit(crossed(ray, chord)))
     return u, curve, points, normals, ok

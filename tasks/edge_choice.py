@@ -20,6 +20,8 @@ CANDIDATES = 120  # of a contour generator
 HALVINGS = 7  # of half a turn: 25 mrad about a superquadric's middle
 FIXED_STEP = 8  # samples between candidates on fixed curves: 2 to 4 mm
 BORDER = 8.0  # [px] of the image in which no track starts
+APART = 1e-6  # [px] that stand for a gap
+WIDER = 1.05  # than the angle to the corners of the image: a cone, outside which nothing is looked at
 
 
 def choose(
@@ -72,7 +74,10 @@ class _Chooser:
         return [points[ok]]
 
     def fixed(self) -> tuple[Contacts, NDArray[np.integer]]:
-        u, curve, points, normals, ok = sampled_curves(self.geometry.fixed, FIXED_STEP, self._eye)
+        x, y, z = self.rotation[:, 2].tolist()
+        u, curve, points, normals, ok = sampled_curves(
+            self.geometry.fixed, FIXED_STEP, self._eye, (x, y, z), _cosine_of_image(self.camera)
+        )
         good = self._good(points, normals, ok)
         rows = self._even(points, curve, good, FIXED_TRACKS)
         none = np.full(len(rows), -1)
@@ -97,11 +102,35 @@ class _Chooser:
         if len(rows) <= most:
             return rows
         pixels = self.camera.project((points[rows] - self.centre) @ self.rotation)
-        step = np.linalg.norm(np.diff(pixels, axis=0), axis=1)
-        step[(np.diff(contour[rows]) != 0) | (np.diff(rows) > 1)] = 1e-6
-        along = np.concatenate([[0.0], np.cumsum(step)])
-        wanted = (np.arange(most) + 0.5) / most * along[-1]
-        return rows[np.unique(np.minimum(np.searchsorted(along, wanted), len(rows) - 1))]
+        return rows[_evenly(pixels, contour[rows], rows, most)]
+
+
+def _cosine_of_image(camera: Camera) -> float:
+    """Of the angle about the optical axis beyond which nothing is in the image."""
+    right, bottom = camera.width - 0.5, camera.height - 0.5
+    corners = camera.rays([[-0.5, -0.5], [right, -0.5], [-0.5, bottom], [right, bottom]])
+    return math.cos(WIDER * math.acos(corners[:, 2].min()))
+
+
+@compiled
+def _evenly(
+    pixels: Array, contour: NDArray[np.integer], number: NDArray[np.integer], most: int
+) -> NDArray[np.integer]:
+    """Up to `most` of n pixels (n, 2) at equal distances along their contours (n,), of which those without a successive number (n,)
+    are apart."""
+    n = len(pixels)
+    along, chosen, count = np.zeros(n), np.empty(most, np.int64), 0
+    for i in range(1, n):
+        x, y = pixels[i, 0] - pixels[i - 1, 0], pixels[i, 1] - pixels[i - 1, 1]
+        joined = contour[i] == contour[i - 1] and number[i] == number[i - 1] + 1
+        along[i] = along[i - 1] + (math.sqrt(x * x + y * y) if joined else APART)
+    at = 0
+    for k in range(most):
+        while at < n - 1 and along[at] < (k + 0.5) / most * along[n - 1]:
+            at += 1
+        if count == 0 or chosen[count - 1] != at:
+            chosen[count], count = at, count + 1
+    return chosen[:count]
 
 
 @compiled

@@ -75,8 +75,8 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
             ("reward_mode", reward_mode, ("shaped", "sparse")),
             ("render_mode", render_mode, (None, "rgb_array")),
         ):
-            if value not in accepted:
-                raise InvalidInput(f"{name} is {value!r}; accepted: {', '.join(map(str, accepted))}")
+            if not isinstance(value, str | None) or value not in accepted:
+                raise InvalidInput(f"{name} is {value!r:.200}; accepted: {', '.join(map(str, accepted))}")
         if not (isinstance(max_steps, int) and 1 <= max_steps <= 100_000):
             raise InvalidInput(f"max_steps is {max_steps!r}; accepted: a whole number from 1 to 100000")
         self.render_mode, self.obs_mode, self.action_mode, self.reward_mode = (
@@ -171,7 +171,11 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start the episode of a seed; without one, of the next that the generator draws. `options` replace fields of the tier."""
-        super().reset(seed=seed)
+        if seed is not None and (
+            isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0
+        ):
+            raise InvalidInput(f"seed is {seed!r}; accepted: a whole number from 0, or none")
+        super().reset(seed=None if seed is None else int(seed))
         tier = self.tier.with_options(options)
         episode = int(self.np_random.integers(2**31)) if seed is None else int(seed)
         self._setup = self._draw(episode, tier)

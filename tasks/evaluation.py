@@ -49,6 +49,9 @@ class Evaluation:
                     f"{key} is {getattr(self, key)!r}; accepted: {', '.join(str(a) for a in accepted if a)}"
                 )
         get_tier(self.tier)
+        for key in ("episodes", "seed"):
+            if isinstance(getattr(self, key), bool) or not isinstance(getattr(self, key), int | np.integer):
+                raise InvalidInput(f"{key} is {getattr(self, key)!r}; accepted: a whole number")
         arguments_of(load_policy(self.policy, BASELINES[self.env]))
         if self.episodes < 1 or self.seed < 0 or self.seed + self.episodes > len(TEST_SEEDS):
             raise InvalidInput(
@@ -80,7 +83,7 @@ def run_episode(
         **arguments_of(policy),
     )
     try:
-        observation, info = env.reset(seed=seed, options=dict(options) if options else None)
+        observation, info = env.reset(seed=seed, options=None if options is None else dict(options))
         policy.reset(env, np.random.default_rng([seed, 3]))
         total, ended = 0.0, False
         while not ended:
@@ -93,7 +96,12 @@ def run_episode(
 
 def summary(evaluation: Evaluation, results: list[dict[str, float]]) -> dict[str, Any]:
     """What evaluation.json holds: success with its interval (Wilson), medians and percentiles of everything else, what was
-    evaluated, and the outcome of each episode (1: success)."""
+    evaluated, and the outcome of each episode (1: success).
+
+    Raises InvalidInput for no results.
+    """
+    if not results:
+        raise InvalidInput("no episode to summarise; accepted: the results of one or more")
     successes = int(sum(result["is_success"] for result in results))
     names = sorted({name for result in results for name in result} - {*NOT_METRICS})
     return {

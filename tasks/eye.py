@@ -14,6 +14,7 @@ from extremal.estimator.errors import InvalidInput, RenderingError
 from extremal.scenes import Scene
 from extremal.scenes.grids import QUICK
 from extremal.sim.axes import swap_camera_axes
+from extremal.sim.buffers import drawing_context, thread_context
 from extremal.sim.gl import select_backend
 from extremal.sim.rendering import EYE, FARTHEST, NEAR, scene_model
 
@@ -24,11 +25,23 @@ class _Drawing:
 
     model: mujoco.MjModel
     data: mujoco.MjData
-    renderer: mujoco.Renderer
+    scene: mujoco.MjvScene
+    view: mujoco.MjvCamera
+    gl: mujoco.GLContext
+    context: mujoco.MjrContext
+
+    @staticmethod
+    def of(model: mujoco.MjModel, width: int, height: int) -> "_Drawing":
+        gl = thread_context()
+        context = drawing_context(model, width, height)
+        view = mujoco.MjvCamera()
+        view.type, view.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, model.camera(EYE).id
+        scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 10)
+        return _Drawing(model, mujoco.MjData(model), scene, view, gl, context)
 
 
 class Eye:
-    """Renders a scene (width x height px) from any pose with MuJoCo's own renderer; a context manager, of one thread.
+    """Renders a scene (width x height px) from any pose with MuJoCo; a context manager, of one thread.
 
     Its field of view is the camera's along the narrower side.
 
@@ -41,7 +54,6 @@ class Eye:
         model = scene_model(scene.to_spec(QUICK))
         focal = max(width / camera.width * camera.fx, height / camera.height * camera.fy)
         eye = model.camera(EYE).id
-        model.vis.global_.offwidth, model.vis.global_.offheight = width, height
         model.vis.map.znear = NEAR / model.stat.extent
         model.cam_resolution[eye] = model.cam_sensorsize[eye] = width, height
         model.cam_intrinsic[eye] = focal, focal, 0.0, 0.0
@@ -49,10 +61,9 @@ class Eye:
             width, height, fx=focal, fy=focal, cx=(width - 1) / 2, cy=(height - 1) / 2, blur=camera.blur
         )
         try:
-            renderer = mujoco.Renderer(model, height, width, max_geom=model.ngeom + 10)
+            self._drawing: _Drawing | None = _Drawing.of(model, width, height)
         except Exception as error:
             raise RenderingError(f"no offscreen rendering of {width} x {height} px: {error}") from error
-        self._drawing: _Drawing | None = _Drawing(model, mujoco.MjData(model), renderer)
 
     def __enter__(self) -> Self:
         return self
@@ -76,17 +87,25 @@ class Eye:
                 f"T_world_camera is {T_world_camera.as_matrix().tolist()!r:.200}; accepted: one transform, less than "
                 f"{FARTHEST:g} m away"
             )
-        eye = swap_camera_axes(T_world_camera)
-        model, data, renderer = self._drawing.model, self._drawing.data, self._drawing.renderer
+        eye, drawing = swap_camera_axes(T_world_camera), self._drawing
+        model, data, scene = drawing.model, drawing.data, drawing.scene
         data.mocap_pos[0] = eye.translation
         data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
         mujoco.mj_kinematics(model, data)
         mujoco.mj_camlight(model, data)
-        renderer.update_scene(data, EYE)
-        return renderer.render()
+        categories = int(mujoco.mjtCatBit.mjCAT_ALL)
+        mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, drawing.view, categories, scene)
+        pixels = np.empty((self.camera.height, self.camera.width, 3), np.uint8)
+        viewport = mujoco.MjrRect(0, 0, self.camera.width, self.camera.height)
+        drawing.gl.make_current()
+        mujoco.mjr_setBuffer(int(mujoco.mjtFramebuffer.mjFB_OFFSCREEN), drawing.context)
+        mujoco.mjr_render(viewport, scene, drawing.context)
+        mujoco.mjr_readPixels(pixels, None, viewport, drawing.context)
+        return np.ascontiguousarray(pixels[::-1])
 
     def close(self) -> None:
-        """Free the renderer and its model: garbage collection may come late to a cycle that the eye is part of."""
+        """Free the buffers and the model: garbage collection may come late to a cycle that the eye is part of."""
         if self._drawing is not None:
-            self._drawing.renderer.close()
+            self._drawing.gl.make_current()
+            self._drawing.context.free()
             self._drawing = None

@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.sequential import ROUGH
+from extremal.estimator.threads import blas_threads, one_blas_thread
 from extremal.scenes import Scene
 from extremal.tasks.contacts import Contacts, EdgeGeometry
 from extremal.tasks.edge_choice import choose
 from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features
 from extremal.tasks.section_tracks import SectionTracks
-from extremal.tasks.sightings import believed_planes, in_camera, last_pixels, sigma_of_seen, tangent_planes
+from extremal.tasks.sightings import followed, last_pixels, sighted
 from extremal.tasks.track_sets import (
     FIRST_LOOKS,
     SPACING,
     PoseRoots,
     TrackSets,
-    blas,
     checked_pose,
     checked_spacing,
     travel_of,
@@ -46,7 +46,7 @@ class GeometricSensor:
         """See `FeatureSensor`; raises SceneError for a scene with a mesh."""
         geometry = EdgeGeometry(scene)
         # setting the number of threads takes a tenth of a look
-        self._many = any(pool["num_threads"] > 1 for pool in blas().info() if pool["user_api"] == "blas")
+        self._many = blas_threads() > 1
         self._roots = PoseRoots()
         self._sets = TrackSets(lambda: _Tracks(geometry, camera, self._model, rng), self._spacing)
 
@@ -59,7 +59,7 @@ class GeometricSensor:
             return self._sets.features
         root = self._roots.of(pose_covariance)
         look = _Look(actual, believed, root, self._roots.baseline)
-        with blas().limit(limits=1, user_api="blas") if self._many else nullcontext():
+        with one_blas_thread() if self._many else nullcontext():
             return self._sets.take_in(look, look.believed[:3, 3])
 
     @property
@@ -150,22 +150,25 @@ class _Tracks:
         for look in looks:
             self._absorb(look, self._measured(look))
 
-    def _move(self, look: _Look) -> None:
-        """Contacts go where the epipolar planes, as the robot believes them to lie, meet the contours."""
-        planes = believed_planes(self._plane, self._start, self._contacts.points, look.actual, look.believed)
-        self._contacts = self._geometry.advance(self._contacts, look.actual[:3, 3], planes)
+    def _move(self, look: _Look) -> tuple[Array, Array, Vector]:
+        """Contacts go where the epipolar planes, as the robot believes them to lie, meet the contours; and as `in_camera` has them."""
+        of, c = self._geometry, self._contacts
+        points, normals, there, u, away, ideal, line = followed(
+            of.solids, of.fixed, c.points, c.normals, c.surface, c.curve, c.u,
+            self._plane, self._start, look.actual, look.believed,
+        )  # fmt: skip
+        self._contacts = Contacts(points, normals, there, c.surface, c.curve, u)
+        return away, ideal, line
 
     def _measured(self, look: _Look) -> _Seen:
-        self._move(look)
-        contacts, camera = self._contacts, self._camera
-        away, line = in_camera(contacts.points, look.actual, look.believed)
+        away, ideal, line = self._move(look)
+        contacts, camera, pixels = self._contacts, self._camera, self._camera.distort(ideal)
         self._update_hidden(look.actual[:3, 3])
         error, found = self._errors(line)
-        normals, per_px, shift, ideal = tangent_planes(
-            away, contacts.normals, self._plane, self._travel, look.actual, look.believed, (camera.fx, camera.fy), error
+        normals, sigma, shift = sighted(
+            away, contacts.normals, self._plane, self._travel, look.actual, look.believed, (camera.fx, camera.fy), error,
+            self._noise, pixels, contacts.there, self._hidden, found, (camera.width, camera.height),
         )  # fmt: skip
-        pixels, size = camera.distort(ideal), (camera.width, camera.height)
-        sigma = sigma_of_seen(self._noise, per_px, pixels, contacts.there, self._hidden, found, size)
         return _Seen(normals, sigma, pixels, shift)
 
     def _errors(self, line: Vector) -> tuple[Array, NDArray[np.bool_]]:

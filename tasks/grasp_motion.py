@@ -11,8 +11,7 @@ from extremal.estimator.camera import Array
 from extremal.estimator.errors import InvalidInput
 from extremal.sim import NOMINAL, ArmGeometry, ArmKinematics, UnreachablePose, fixating
 from extremal.sim.arm import CUP_LENGTH, JOINT_LIMITS
-from extremal.tasks.arm_chain import Chain, flange_frames, line, straight
-from extremal.tasks.rigid import product
+from extremal.tasks.arm_chain import Chain, straight_to
 
 # Beside a table with the target at the world's origin. As in `sim.kinematics` joints 2, 3 and 4 turn about the vertical,
 # but turned over: the forearm is carried above the hand, clear of the table. Found by trying bases on a grid, clear of the table
@@ -142,13 +141,14 @@ class CupKinematics:
     def straight_to(self, start: ArrayLike, T_world_cup: Array) -> Array:
         """As `straight`, to a pose (4, 4)."""
         q = np.array(start, float)
-        cups = line(product(flange_frames(self._chain, q)[-1], _CUP), T_world_cup, SPACING, TURN)
         try:
-            path, count = straight(self._chain, q, cups @ _FLANGE, JOINT_LIMITS, RESIDUAL, JUMP)
+            path, is_there = straight_to(
+                self._chain, q, _CUP, T_world_cup, SPACING, TURN, JOINT_LIMITS, RESIDUAL, JUMP
+            )
         except np.linalg.LinAlgError:
-            path, count = q[None], 0
-        if count < len(cups):
-            place = np.round(cups[count, :3, 3], 3).tolist()
+            path, is_there = q[None], False
+        if not is_there:
+            place = np.round(T_world_cup[:3, 3], 3).tolist()
             raise UnreachablePose(
                 f"the arm can't bring its cup straight to {place} [m]; accepted: lines within its reach and its limits, "
                 "away from singularities"
@@ -156,4 +156,4 @@ class CupKinematics:
         return path
 
 
-_CUP, _FLANGE = T_FLANGE_CUP.as_matrix(), T_FLANGE_CUP.inv().as_matrix()
+_CUP = T_FLANGE_CUP.as_matrix()

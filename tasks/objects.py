@@ -86,7 +86,7 @@ def random_object(
 
 def checked_family(family: str) -> None:
     """InvalidInput, listing the families, unless it is one of them."""
-    if family not in FAMILIES:
+    if not isinstance(family, str) or family not in FAMILIES:
         raise InvalidInput(f"family is {family!r}; accepted: {', '.join(FAMILIES)}")
 
 

@@ -25,6 +25,7 @@ LEVEL, SIDE = (
 ALIKE = 4.0  # [px] across, within which the best known of contours is taken
 ALONG = 0.4  # sine of the angle between a contour and its chords, at most
 REACH = 0.06  # [m] from the plane of the question, of features that are interpolated
+POORLY = 3.0  # times the least sigma of those: features that are known less well add nothing but their errors
 BEYOND = 0.01  # [m] from the plane, within which features of one side alone are extrapolated
 LEAST_LOOKS = 5
 UNKNOWN = 1.0  # [m] sigma from which nothing is known
@@ -104,6 +105,9 @@ class Question:
             return None
         up = self.plane(eye)
         height = (seen.position[rows] - eye) @ up
+        sigma = seen.sigma[rows]
+        least = np.min(sigma, where=np.abs(height) < REACH, initial=np.inf)
+        rows, height = rows[sigma < POORLY * least], height[sigma < POORLY * least]
         weight = interpolating(height)
         side = np.where(seen.normal[rows] @ seen.normal[rows[np.argmax(np.abs(weight))]] < 0, -1.0, 1.0)
         R = float(weight @ (side * seen.radius[rows]))

@@ -11,6 +11,7 @@ from extremal.estimator.contours import SYSTEMATIC, Contours, find_contours
 from extremal.estimator.errors import InvalidInput
 from extremal.estimator.estimates import OVERLAP
 from extremal.estimator.sequential import SequentialShape
+from extremal.estimator.threads import one_blas_thread
 from extremal.scenes import Scene
 from extremal.scenes.grids import MEASURED, QUICK
 from extremal.sim import FrameRenderer, Quality, Sensor, scene_model
@@ -24,7 +25,6 @@ from extremal.tasks.track_sets import (
     SPACING,
     PoseRoots,
     TrackSets,
-    blas,
     checked_pose,
     checked_spacing,
     first_baseline,
@@ -35,7 +35,7 @@ FINE = replace(
 )  # edges in frames that are sampled finely
 APART = round(OVERLAP)  # edgels along a contour from which on errors are independent
 NEAREST = 0.06  # [m] of depths: past an obstacle at the wanted clearance, tangents are as short
-MOST = 40  # tracks that are estimated: as many of one contour as of another, as a long one may not outvote all others
+MOST = 40  # tracks that are estimated
 
 AROUND = 48  # [px] about a track in which the frame is looked at: as far as neighbours help to judge an edge
 GRID = 16  # [px] to which parts of frames are rounded
@@ -137,7 +137,7 @@ class _Tracks(SequentialShape):
 
     def take_in(self, look: _Look) -> None:
         if self.started:
-            with blas().limit(limits=1, user_api="blas"):
+            with one_blas_thread():
                 self._pixels = self._pixels - look.corner
                 self._follow(look.view, look.contours)
                 self._pixels = self._pixels + look.corner
@@ -214,13 +214,11 @@ def _far_from(near: Array, camera: Camera) -> NDArray[np.bool_]:
 
 
 def _thinned(contour: NDArray[np.integer]) -> NDArray[np.integer]:
-    """Rows (n) to keep, of points in order along contours: every APART-th of each, or fewer and alike many of all longer ones, so
-    that no more than MOST are kept."""
-    first, last = (np.searchsorted(contour, contour, side=side) for side in ("left", "right"))
-    rank, count = np.arange(len(contour)) - first, last - first
+    """Rows (n) to keep, of points in order along contours: every APART-th, or where these are more than MOST, fewer, of each contour as
+    the square root of its length: a long one is to be known better, but may not outvote all others."""
+    _, of, count = np.unique(contour, return_inverse=True, return_counts=True)
     room = (count + APART // 2) // APART
-    each = MOST
-    while each > 1 and np.sum(np.minimum(room, each) / count) > MOST:
-        each -= 1
-    kept = np.minimum(room, each)
+    share = MOST * np.sqrt(room) / max(np.sqrt(room).sum(), 1.0)
+    kept, count = np.minimum(room, np.maximum(share, 1).astype(int))[of], count[of]
+    rank = np.arange(len(contour)) - np.searchsorted(contour, contour)
     return np.flatnonzero((rank + 1) * kept // count > rank * kept // count)

@@ -10,7 +10,7 @@ look keeps its linear equations only as long as the sections stay where they wer
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
-from scipy.linalg.lapack import dpotrf, dpotri, dpotrs  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.adjustment import FAR, LOOSE
 from extremal.estimator.camera import Array
@@ -18,7 +18,7 @@ from extremal.estimator.poses import six_columns
 from extremal.estimator.slant import FAR as FAR_SLANT
 from extremal.tasks.compiled import compiled
 from extremal.tasks.section_arcs import widen
-from extremal.tasks.section_looks import Looks, Sums
+from extremal.tasks.section_looks import Looks, Rows, Sums
 from extremal.tasks.section_misfit import repeated
 from extremal.tasks.section_rows import missed, placed, tell
 from extremal.tasks.section_slant import smoothed
@@ -47,6 +47,7 @@ class SectionSmoother:
         fixed: (n,) sections that are believed to be fixed: where looks are linearised.
         first, last: (n,) [rad] least and largest angle from N_0 in which sections were seen; infinite of none.
         count: number of looks that were taken in.
+        anew: (n,) sections of which the last `strayed` has forgotten all looks.
     """
 
     def __init__(
@@ -74,6 +75,7 @@ class SectionSmoother:
         self._settled = Sums.prior(self._prior)  # of all but the latest looks
         self._settled_looks, self._repeats = 0, np.zeros(n)
         self.first, self.last = np.full(n, np.inf), np.full(n, -np.inf)
+        self._refused, self.anew = np.zeros(n, int), np.zeros(n, bool)
         self._due = self._spread_due = self._repeats_due = 0.0  # number of looks
         self._spread: Spread | None = None
         self.count = 0
@@ -97,9 +99,11 @@ class SectionSmoother:
     ) -> NDArray[np.bool_]:
         """Which (n,) planes of a look, as `update` takes it, are of other contours; contour: (n,) of each section.
 
-        What such sections showed in the looks just before is forgotten: contours that come apart were one for a while.
+        What such sections showed in the looks just before is forgotten: contours that come apart were one for a while. Where
+        more has been left out than is left, what is left is not believed either: such sections begin anew.
         """
         out, rows = np.zeros(len(sigma), bool), np.flatnonzero(np.isfinite(sigma))
+        self.anew[:] = False
         if self.count < JUDGING or len(rows) == 0:
             return out
         if self._told < self._looks.count:
@@ -117,7 +121,18 @@ class SectionSmoother:
         common = np.hypot(ALIKE, np.sqrt(np.sum(root[3:] ** 2)) * depth / (spread * distance))
         out[rows] = strays(X, O, r, P, 1.0 + bend**2, common, contour[rows])
         self._looks.forget(out, BEFORE)
+        self._refused += out
+        if out.any():
+            seen = np.sum(np.isfinite(self._looks.part(0).sigma), axis=0)
+            self._begin_anew(out & (self._refused > seen))
         return out
+
+    def _begin_anew(self, sections: NDArray[np.bool_]) -> None:
+        """Forget all that was seen of `sections` (n,)."""
+        self._looks.forget(sections, self._looks.count)
+        self._theta = np.where(sections[:, None], 0.0, self._theta)
+        self.first[sections], self.last[sections], self._refused[sections] = np.inf, -np.inf, 0
+        self.anew = sections
 
     def _smoothed_last(self, believed: Array, planes: Array, sigma: Array) -> Array:
         """Tangent planes (n, 3) of a new look in the world, their slant smoothed by the looks before it where it is noisy."""
@@ -195,15 +210,10 @@ class SectionSmoother:
 
     def _tell(self, first: int, robust: bool) -> None:
         """Let looks from the first on say what they do at what is known now."""
-        rows, theta, far = self._looks.part(first), self._theta, FAR if robust else np.inf
-        said = rows.loss, rows.pull, rows.inverse
-        z, poses, planes = placed(rows.believed, rows.root, rows.normals, theta, *said)
+        far, smooth = FAR if robust else np.inf, self._noisy_slant and first == 0
         origin, frame, distance = self._sections
-        if self._noisy_slant and first == 0:
-            planes = smoothed(poses, planes, rows.sigma, theta, origin, frame, FAR_SLANT)
-        tell(
-            poses, z, planes, rows.root, rows.sigma, theta, origin, frame, distance, self._repeats, far,
-            rows.blocks, rows.loss, rows.right, rows.pull, rows.inverse, rows.off,
+        _tell(
+            self._looks.part(first), origin, frame, distance, self._theta, self._repeats, far, smooth,
         )  # fmt: skip
 
     def _step(self, sums: Sums) -> Solution:
@@ -213,12 +223,35 @@ class SectionSmoother:
             raise LinAlgError("the information on sections is not positive definite")
         theta = dpotrs(factor, sums.right, lower=1)[0].reshape(-1, 3)
         if self._spread is None or self.count >= self._spread_due:
-            covariance = dpotri(factor, lower=1, overwrite_c=1)[0].T
-            self._spread = Spread(covariance, sums.blocks, self._sections[2])
+            root = dtrtri(factor, lower=1, overwrite_c=1)[0].T
+            self._spread = Spread(root, sums.blocks, self._sections[2])
             self._spread_due = SPREAD_GROWTH * self.count
         solution = Solution(theta, self._spread)
         self._theta = _within(solution.held_theta(self.fixed), self._reach)
         return solution
+
+
+@compiled
+def _tell(
+    rows: Rows,
+    origin: Array,
+    frame: Array,
+    distance: Array,
+    theta: Array,
+    repeats: Array,
+    far: float,
+    smooth: bool,
+) -> None:
+    """What looks say, linearised at theta (n, 3) and the poses that fit it best, of measured or smoothed slants."""
+    z, poses, planes = placed(
+        rows.believed, rows.root, rows.normals, theta, rows.loss, rows.pull, rows.inverse
+    )
+    if smooth:
+        planes = smoothed(poses, planes, rows.sigma, theta, origin, frame, FAR_SLANT)
+    tell(
+        poses, z, planes, rows.root, rows.sigma, theta, origin, frame, distance, repeats, far,
+        rows.blocks, rows.loss, rows.right, rows.pull, rows.inverse, rows.off,
+    )  # fmt: skip
 
 
 @compiled

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from extremal.estimator.adjustment import LOOSE
 from extremal.estimator.camera import Array
 from extremal.tasks.compiled import compiled
-from extremal.tasks.triples import crossed, dot, row
+from extremal.tasks.triples import crossed, dot, put, row
 
 LEAST_VOLUME = 1e-12  # of three unknowns' information, scaled to ones on the diagonal, that tells them apart
 
@@ -32,21 +32,26 @@ class Spread:
     """How uncertain n sections are.
 
     Attributes:
-        covariance: (3 n, 3 n) of their unknowns, one section after the other.
-        free: that of each and sigma of its radius where nothing is fixed.
+        root: (3 n, 3 n) upper triangle W of the covariance W W' of their unknowns, one section after the other.
+        free: covariance of each and sigma of its radius where nothing is fixed.
     """
 
-    def __init__(self, covariance: Array, blocks: Array, distance: Array) -> None:
+    def __init__(self, root: Array, blocks: Array, distance: Array) -> None:
         """
         Args:
-            covariance: (3 n, 3 n), the upper triangle; the other is written. blocks: (n, 3, 3) of the information for known poses. distance: (n,) [m] of the camera.
+            root: (3 n, 3 n); below its diagonal zeros are written. blocks: (n, 3, 3) of the information for known poses.
+            distance: (n,) [m] of the camera.
         """
-        self.covariance, self._blocks = covariance, blocks
-        _mirror(covariance)
-        self._known = _resolved(blocks)
+        self.root, self._blocks = root, blocks
         self._farthest = LOOSE * distance
         self._held: dict[bytes, _Held] = {}
-        self.free = _Told(*_of_free(covariance, self._known, self._farthest))
+        self._known, each, sigma, valid = _of_free(root, blocks, self._farthest)
+        self.free = _Told(each, sigma, valid)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(3 n, 3 n)."""
+        return self.root @ self.root.T
 
     def held(self, fixed: NDArray[np.bool_]) -> "_Held":
         """The same where the radii of sections `fixed` (n,), at least one, are zero."""
@@ -57,13 +62,14 @@ class Spread:
 
     def _hold(self, fixed: NDArray[np.bool_]) -> "_Held":
         at = 3 * np.flatnonzero(fixed) + 2
-        Q = np.linalg.inv(self.covariance[at[:, None], at])
-        return _Held(*_of_held(self.covariance, self._known, self._farthest, fixed, at, Q))
+        across = self.root @ self.root[at].T
+        Q = np.linalg.inv(across[at])
+        return _Held(*_of_held(self.free.covariance, across, self._known, self._farthest, fixed, Q))
 
     def shared(self) -> tuple[Array, Array]:
         """Variance (n,) of each free radius for known poses, and (n, n) shared: radii i and j have the covariance
         shared_i . shared_j besides."""
-        own, rest = _parted(self.covariance, self._blocks, self._known)
+        own, rest = _parted(self.root, self._blocks, self._known)
         values, vectors = np.linalg.eigh(rest)
         return own, vectors * np.sqrt(np.maximum(values, 0.0))
 
@@ -149,32 +155,41 @@ def _radii_held(held: Array, fixed: NDArray[np.bool_], others: Array, theta: Arr
 
 @compiled
 def _of_free(
-    covariance: Array, known: NDArray[np.bool_], farthest: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """What is told where nothing is fixed, of a covariance (3 n, 3 n): see `_Told`."""
-    n = len(known)
-    each, variance = np.empty((n, 3, 3)), np.empty(n)
+    root: Array, blocks: Array, farthest: Array
+) -> tuple[NDArray[np.bool_], Array, Array, NDArray[np.bool_]]:
+    """Which sections (n,) are known, and what is told where nothing is fixed, of a root (3 n, 3 n): see `_Told`."""
+    n, size = len(blocks), len(root)
+    known, each, variance = _resolved(blocks), np.empty((n, 3, 3)), np.empty(n)
     for i in range(n):
+        xx = xy = xz = yy = yz = zz = 0.0
         for j in range(3):
-            for k in range(3):
-                each[i, j, k] = covariance[3 * i + j, 3 * i + k]
-        variance[i] = max(each[i, 2, 2], 0.0)
+            root[3 * i + j, : 3 * i + j] = 0.0
+        for k in range(3 * i, size):
+            x, y, z = root[3 * i, k], root[3 * i + 1, k], root[3 * i + 2, k]
+            xx, xy, xz, yy, yz, zz = xx + x * x, xy + x * y, xz + x * z, yy + y * y, yz + y * z, zz + z * z
+        put(each[i], 0, (xx, xy, xz))
+        put(each[i], 1, (xy, yy, yz))
+        put(each[i], 2, (xz, yz, zz))
+        variance[i] = zz
     sigma, valid = _judged(each, variance, known, farthest)
-    return each, sigma, valid
+    return known, each, sigma, valid
 
 
 @compiled
 def _of_held(
-    covariance: Array,
+    free: Array,
+    across: Array,
     known: NDArray[np.bool_],
     farthest: Array,
     fixed: NDArray[np.bool_],
-    at: NDArray[np.integer],
     Q: Array,
 ) -> tuple[Array, Array, NDArray[np.bool_], Array, Array]:
-    """What is told where the radii at places `at` (k,) are fixed, Q (k, k) being the inverse of their covariance: see `_Held`."""
-    gain = np.ascontiguousarray(covariance[:, at]) @ Q
-    each, others = _less(covariance, at, gain), Q.copy()
+    """What is told where radii are fixed (n,), of covariances `free` (n, 3, 3) where they are not: see `_Held`.
+
+    across: (3 n, k) covariances of all unknowns with these radii; Q: (k, k) inverse of the radii's own.
+    """
+    gain = across @ Q
+    each, others = _less(free, across, gain), Q.copy()
     variance, m = np.empty(len(known)), 0
     for i in range(len(known)):
         variance[i] = max(each[i, 2, 2], 0.0)
@@ -200,14 +215,12 @@ def _judged(
 
 
 @compiled
-def _parted(covariance: Array, blocks: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
+def _parted(root: Array, blocks: Array, known: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Variance (n,) of radii for known poses, of information `blocks` (n, 3, 3), infinite unless `known` (n,); and the rest (n, n) of
     their covariance."""
-    n = len(known)
-    own, rest = np.full(n, np.inf), np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            rest[i, j] = covariance[3 * i + 2, 3 * j + 2]
+    radii = root[2::3].copy()
+    own, rest = np.full(len(known), np.inf), radii @ radii.T
+    for i in range(len(known)):
         if known[i]:
             # what is left of R's information, once the other two unknowns are eliminated
             b = blocks[i]
@@ -219,25 +232,15 @@ def _parted(covariance: Array, blocks: Array, known: NDArray[np.bool_]) -> tuple
 
 
 @compiled
-def _less(covariance: Array, at: NDArray[np.integer], gain: Array) -> Array:
-    """Blocks (n, 3, 3) on the diagonal of covariance - gain covariance[at], of unknowns where those at (k,) are known; gain (3 n, k)."""
-    n = len(covariance) // 3
-    each = np.empty((n, 3, 3))
-    for i in range(n):
+def _less(free: Array, across: Array, gain: Array) -> Array:
+    """Covariances (n, 3, 3) less what k other unknowns, when they are known, tell of them: gain (3 n, k) times across (3 n, k)."""
+    each = free.copy()
+    for i in range(len(free)):
         for j in range(3):
             for k in range(3):
-                each[i, j, k] = covariance[3 * i + j, 3 * i + k]
-                for m in range(len(at)):
-                    each[i, j, k] -= gain[3 * i + j, m] * covariance[at[m], 3 * i + k]
+                for m in range(gain.shape[1]):
+                    each[i, j, k] -= gain[3 * i + j, m] * across[3 * i + k, m]
     return each
-
-
-@compiled
-def _mirror(matrix: Array) -> None:
-    """Copy the upper triangle of a matrix into the lower one."""
-    for i in range(len(matrix)):
-        for j in range(i):
-            matrix[i, j] = matrix[j, i]
 
 
 @compiled

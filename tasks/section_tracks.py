@@ -74,6 +74,8 @@ class SectionTracks:
         if self._may_stray:
             strayed = self._smoother.strayed(believed, root, normals, sigma, self._contour)
             sigma = np.where(strayed, np.inf, sigma)
+            self._normals[: self._looks, self._smoother.anew] = 0.0
+            self._views[self._smoother.anew] = 0
         seen = crossing(believed, normals, sigma, self._frame, LEAST_TILT, there)
         self._smoother.update(believed, root, normals, np.where(seen, sigma, np.inf))
         self._views += seen

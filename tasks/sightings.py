@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
 from extremal.tasks.compiled import compiled
+from extremal.tasks.contacts import FixedCurves, advanced
+from extremal.tasks.level_sets import Solids
 from extremal.tasks.rigid import place
 from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, times, turned, turned_back, unit
 
@@ -34,14 +36,62 @@ def believed_planes(plane: Array, start: Array, points: Array, actual: Array, be
 
 
 @compiled
-def in_camera(points: Array, actual: Array, believed: Array) -> tuple[Array, Vector]:
-    """Points (n, 3) in the camera frame [m], and the middle of the rays to them in the world as believed, a unit vector."""
-    out, middle = np.empty(points.shape), (0.0, 0.0, 0.0)
+def followed(
+    solids: Solids,
+    curves: FixedCurves,
+    points: Array,
+    normals: Array,
+    surface: NDArray[np.integer],
+    curve: NDArray[np.integer],
+    u: Array,
+    plane: Array,
+    start: Array,
+    actual: Array,
+    believed: Array,
+) -> tuple[Array, Array, NDArray[np.bool_], Array, Array, Array, Vector]:
+    """`advanced` contacts where `believed_planes` meet the contours; and those as `in_camera` has them."""
+    planes = believed_planes(plane, start, points, actual, believed)
+    points, normals, there, u = advanced(
+        solids, curves, points, normals, surface, curve, u, place(actual), planes
+    )
+    away, ideal, line = in_camera(points, actual, believed)
+    return points, normals, there, u, away, ideal, line
+
+
+@compiled
+def in_camera(points: Array, actual: Array, believed: Array) -> tuple[Array, Array, Vector]:
+    """Points (n, 3) in the camera frame [m]; their ideal image coordinates (n, 2) = (X/Z, Y/Z), NaN behind the camera; and the middle
+    of the rays to them in the world as believed, a unit vector."""
+    out, ideal, middle = np.empty(points.shape), np.full((len(points), 2), np.nan), (0.0, 0.0, 0.0)
     for i in range(len(points)):
         p = turned_back(actual, plus(row(points, i), -1.0, place(actual)))
         put(out, i, p)
+        if p[2] > 0:
+            ideal[i, 0], ideal[i, 1] = p[0] / p[2], p[1] / p[2]
         middle = plus(middle, 1.0, unit(p))
-    return out, unit(turned(believed, middle))
+    return out, ideal, unit(turned(believed, middle))
+
+
+@compiled
+def sighted(
+    away: Array,
+    normals: Array,
+    plane: Array,
+    travel: Array,
+    actual: Array,
+    believed: Array,
+    focal: tuple[float, float],
+    error: Array,
+    noise: Array,
+    pixels: Array,
+    there: NDArray[np.bool_],
+    hidden: NDArray[np.bool_],
+    found: NDArray[np.bool_],
+    size: tuple[int, int],
+) -> tuple[Array, Array, Array]:
+    """Tangent planes (n, 3), their sigma (n,) [rad] and the shift (n, 2) [px] of the edges: see `tangent_planes`, `sigma_of_seen`."""
+    planes, per_px, shift = tangent_planes(away, normals, plane, travel, actual, believed, focal, error)
+    return planes, sigma_of_seen(noise, per_px, pixels, there, hidden, found, size), shift
 
 
 @compiled
@@ -54,7 +104,7 @@ def tangent_planes(
     believed: Array,
     focal: tuple[float, float],
     error: Array,
-) -> tuple[Array, Array, Array, Array]:
+) -> tuple[Array, Array, Array]:
     """Tangent planes of edges that are seen off by `error` (n,) [px], in the camera frame.
 
     Args:
@@ -64,11 +114,9 @@ def tangent_planes(
 
     Returns:
         Normals (n, 3), to the side that looks along the travel; radians per pixel of error (n,), 0 or less behind the camera;
-        by how much the error moves the edge in the image (n, 2) [px]; and ideal image coordinates (n, 2) = (X/Z, Y/Z), NaN
-        behind the camera.
+        and by how much the error moves the edge in the image (n, 2) [px].
     """
     out, per_px, shift = np.empty(away.shape), np.empty(len(away)), np.empty((len(away), 2))
-    ideal = np.full((len(away), 2), np.nan)
     forwards = turned_back(believed, (travel[0], travel[1], travel[2]))
     for i in range(len(away)):
         ray, n = unit(row(away, i)), turned_back(actual, row(normals, i))
@@ -80,9 +128,7 @@ def tangent_planes(
         per_px[i] = slope * ray[2]
         put(out, i, unit(plus(n, error[i] * per_px[i], ray)))
         shift[i, 0], shift[i, 1] = -error[i] / slope * x, -error[i] / slope * y
-        if away[i, 2] > 0:
-            ideal[i, 0], ideal[i, 1] = away[i, 0] / away[i, 2], away[i, 1] / away[i, 2]
-    return out, per_px, shift, ideal
+    return out, per_px, shift
 
 
 @compiled

@@ -60,23 +60,28 @@ def feature_space() -> gym.spaces.Box:
 
 def slots(features: Features) -> NDArray[np.integer]:
     """Which features, in order, an observation holds."""
-    return np.argsort(features.visible * -MOST_VIEWS - features.views, kind="stable")[:SLOTS]
+    return _order(features.visible, features.views)
 
 
 def feature_rows(features: Features) -> NDArray[np.float32]:
     """Features as an observation; rows that are left over are zero: no looks."""
     f, rows = features, np.zeros((SLOTS, len(COLUMNS)), np.float32)
     _fill(
-        rows, slots(f), f.radius, f.sigma_radius, f.relative_radius, f.sigma_relative, f.position, f.covariance, f.normal,
+        rows, f.radius, f.sigma_radius, f.relative_radius, f.sigma_relative, f.position, f.covariance, f.normal,
         f.extremal, f.reference, f.visible, f.contour, f.views, _LOW, _HIGH,
     )  # fmt: skip
     return rows
 
 
 @compiled
+def _order(visible: NDArray[np.bool_], views: NDArray[np.integer]) -> NDArray[np.integer]:
+    """Up to SLOTS of n: the visible ones (n,) first, then those with the most views (n,)."""
+    return np.argsort(visible * -MOST_VIEWS - views, kind="mergesort")[:SLOTS]
+
+
+@compiled
 def _fill(
     rows: NDArray[np.float32],
-    order: NDArray[np.integer],
     radius: Array,
     sigma: Array,
     relative: Array,
@@ -92,7 +97,8 @@ def _fill(
     low: Array,
     high: Array,
 ) -> None:
-    """Features, in an order, become rows of COLUMNS from `low` to `high`; NaN, where there is no relative radius, becomes 0."""
+    """Features, in their order, become rows of COLUMNS from `low` to `high`; NaN, where there is no relative radius, becomes 0."""
+    order = _order(visible, views)
     for j in range(len(order)):
         i = order[j]
         along = 0.0
@@ -146,7 +152,10 @@ def motion_space(mode: str) -> gym.spaces.Box:
 
 def checked_action(action: Any, space: gym.spaces.Box) -> Array:
     """An action, clipped to its space; InvalidInput for another shape or numbers that are not finite."""
-    values = np.asarray(action, float)
+    try:
+        values = np.asarray(action).astype(float, casting="same_kind", copy=False)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"action is {action!r:.200}; accepted: {space.shape} finite numbers") from None
     if values.shape != space.shape or not is_finite(values):
         raise InvalidInput(
             f"action is {np.array2string(values, threshold=8)}; accepted: {space.shape} finite numbers"

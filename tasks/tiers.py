@@ -7,7 +7,7 @@ families are others, excepted). What a name stands for never changes; a change g
 Train on `TRAIN_SEEDS` = 0 to 99,999; report on `TEST_SEEDS` = 1,000,000 to 1,000,999, the first n of them for n episodes.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -55,7 +55,8 @@ class Tier:
     clutter: int = 0
 
     def __post_init__(self) -> None:
-        families = (self.families,) if isinstance(self.families, str) else tuple(self.families)
+        given = (self.families,) if isinstance(self.families, str) else self.families
+        families = tuple(given) if isinstance(given, Iterable) else (given,)
         for family in families:
             checked_family(family)
         if not families:
@@ -64,7 +65,7 @@ class Tier:
         for preset in (self.arm_bias, self.arm_noise):
             get_arm(preset)
         for name, names in (("crease", get_args(Crease)), ("appearance", get_args(Looks))):
-            if getattr(self, name) not in names:
+            if not isinstance(getattr(self, name), str) or getattr(self, name) not in names:
                 raise InvalidInput(f"{name} is {getattr(self, name)!r}; accepted: {', '.join(names)}")
         if not (isinstance(self.edge_noise, int | float | np.number) and 0 <= self.edge_noise <= 20):
             raise InvalidInput(f"edge_noise is {self.edge_noise!r}; accepted: a factor from 0 to 20")
@@ -95,21 +96,25 @@ class Tier:
             options: field names and values, as `reset(options=...)` of an environment takes them.
 
         Raises:
-            InvalidInput: an unknown name or a value that is not accepted.
+            InvalidInput: no mapping, an unknown name or a value that is not accepted.
         """
-        if not options:
+        if options is None:
             return self
+        if not isinstance(options, Mapping):
+            raise InvalidInput(f"options are {options!r:.200}; accepted: a mapping of field names")
         known = [field.name for field in fields(self) if field.name != "name"]
         unknown = [key for key in options if key not in known]
         if unknown:
             raise InvalidInput(f"option is {unknown[0]!r}; accepted: {', '.join(known)}")
+        if not options:
+            return self
         suffix = ",".join(f"{key}={options[key]}" for key in known if key in options)
         return replace(self, name=f"{self.name}+{suffix}", **options)
 
 
 def get_tier(name: str) -> Tier:
     """A tier by its name; InvalidInput lists the names."""
-    if name not in TIERS:
+    if not isinstance(name, str) or name not in TIERS:
         raise InvalidInput(f"tier is {name!r}; accepted: {', '.join(TIERS)}")
     return TIERS[name]
 

@@ -10,11 +10,9 @@
 
 import math
 from collections.abc import Callable
-from functools import cache
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from extremal.estimator.camera import Array
 from extremal.estimator.epipolar import LEAST_CERTAINTY
@@ -27,7 +25,7 @@ from extremal.tasks.triples import dot, plus
 
 SPACING = 0.005  # [m]
 FIRST_LOOKS, FIRST_BASELINE = 5, 0.02  # [m]
-LEAST_SEEN = 0.5
+LEAST_SEEN = 0.25
 FARTHEST_TURN = 0.9  # [rad]
 CERTAINTY = (
     1.5 * LEAST_CERTAINTY
@@ -99,12 +97,6 @@ def _cosine_from_middle(points: Array, a: Array, b: Array) -> float:
     middle = np.sort(points[:, 0])[half], np.sort(points[:, 1])[half], np.sort(points[:, 2])[half]
     to_a, to_b = plus((a[0], a[1], a[2]), -1.0, middle), plus((b[0], b[1], b[2]), -1.0, middle)
     return dot(to_a, to_b) / max(math.sqrt(dot(to_a, to_a) * dot(to_b, to_b)), 1e-12)
-
-
-@cache
-def blas() -> ThreadpoolController:
-    """To look for the libraries takes milliseconds: once a process."""
-    return ThreadpoolController()
 
 
 def first_baseline(pose_covariance: Array) -> float:

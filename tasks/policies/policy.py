@@ -46,6 +46,8 @@ def load_policy(name: str, baselines: Mapping[str, Callable[[], Policy]]) -> Pol
 
     Raises InvalidInput where there is none of that name.
     """
+    if not isinstance(name, str):
+        raise InvalidInput(f"policy is {name!r}; accepted: a name")
     if name in baselines:
         return baselines[name]()
     registered, (module, colon, attribute) = plugins.offered(GROUP), name.partition(":")
@@ -58,7 +60,9 @@ def load_policy(name: str, baselines: Mapping[str, Callable[[], Policy]]) -> Pol
         own = name not in registered
         made = (getattr(importlib.import_module(module), attribute) if own else plugins.load(GROUP, name))()
     except (ImportError, AttributeError, TypeError) as error:
-        raise InvalidInput(f"policy {name!r} can't be made: {error}") from None
+        raise InvalidInput(
+            f"policy {name!r} can't be made: {error}; accepted: a class that needs no arguments"
+        ) from None
     if not (callable(getattr(made, "reset", None)) and callable(getattr(made, "act", None))):
         raise InvalidInput(f"policy {name!r} is a {type(made).__name__}; accepted: one with reset and act")
     return made

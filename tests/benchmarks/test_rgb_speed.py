@@ -31,6 +31,7 @@ def in_turns(eye: Eye, pose: RigidTransform) -> Array:
     """Times (FRAMES, 2) [s] of an image as it is observed, and of the same by `mujoco.Renderer` alone."""
     assert eye._drawing is not None
     model = eye._drawing.model
+    model.vis.global_.offwidth = model.vis.global_.offheight = RGB
     data, there = mujoco.MjData(model), swap_camera_axes(pose)
     data.mocap_pos[0] = there.translation
     data.mocap_quat[0] = there.rotation.as_quat(scalar_first=True)

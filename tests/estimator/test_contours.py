@@ -8,6 +8,7 @@ from scipy.ndimage import gaussian_filter
 
 from extremal.estimator import Camera, Contours, find_contours
 from extremal.estimator.camera import Array
+from extremal.estimator.sequential import in_company
 
 BLUR, NOISE, FINE = 0.7, 2.0, 8
 WIDTH, HEIGHT = 200, 160
@@ -84,6 +85,18 @@ def test_discs(inside: float, outside: float) -> None:
         assert 1 / 70 < bright * curvature < 1 / 30
 
 
+def test_an_open_line_is_one_contour() -> None:
+    """Pixels of a line that goes down like stairs are traced there and back: by turns one side of the stairs, then the other."""
+    rng = np.random.default_rng(4)
+    for _ in range(8):
+        radius, centre = rng.uniform(60, 110), np.array([rng.uniform(70, 130), HEIGHT])
+        contours = find_contours(image_of(disc(centre, radius), 180.0, 60.0, rng), CAMERA)
+        assert abs(np.linalg.norm(contours.positions - centre, axis=1) - radius).max() < 0.5
+        apart = np.linalg.norm(contours.positions[:, None] - contours.positions, axis=2)
+        other = contours.contour[:, None] != contours.contour
+        assert np.min(apart, where=other, initial=np.inf) > 4
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.2, 0.7, 1.3])
 def test_corners_split_contours(angle: float) -> None:
     rng = np.random.default_rng(7)
@@ -109,6 +122,22 @@ def test_corners_split_contours(angle: float) -> None:
     assert np.all(np.abs(sides) < 0.01 + 4 * off[clear].std() / np.sqrt(independent))
     inside = np.abs(off[clear]) < 1.96 * contours.sigma[clear]
     assert inside.mean() > 0.95 - 5 * np.sqrt(0.05 * 0.95 / independent.sum())
+
+
+@pytest.mark.parametrize(("width", "expected"), [(5.0, True), (12.0, False)])
+def test_two_edges_beside_each_other_are_in_company(width: float, expected: bool) -> None:
+    """Of a bar: its long sides, where the ends are far; at its ends, and around a disc, no edge runs beside another."""
+    rng = np.random.default_rng(5)
+    centre, angle = np.array([100.0, 80.0]), 0.3
+    contours = find_contours(
+        image_of(rectangle(centre, np.array([60.0, width / 2]), angle), 60.0, 180.0, rng), CAMERA
+    )
+    along = (contours.positions - centre) @ np.array([np.cos(angle), np.sin(angle)])
+    sides = np.abs(along) < 50
+    assert np.sum(sides) > 30
+    np.testing.assert_array_equal(in_company(contours, contours.positions[sides]), expected)
+    alone = find_contours(image_of(disc(centre, 50.0), 60.0, 180.0, rng), CAMERA)
+    assert not in_company(alone, alone.positions).any()
 
 
 def test_straight_edges_are_unbiased() -> None:

@@ -82,6 +82,17 @@ def test_normals_and_radii_of_the_wrong_sign_are_the_same_feature() -> None:
     assert again.radius == pytest.approx(as_it_is.radius)
 
 
+def test_what_is_hardly_known_leaves_the_answer_as_it_is() -> None:
+    """A track that was lost early, between others."""
+    asked, _ = question()
+    seen = told(EYE)
+    row = np.arange(13) == 3
+    lost = replace(seen, radius=np.where(row, 0.01, seen.radius), sigma=np.where(row, 0.04, seen.sigma))
+    found = asked.answer(EYE, lost)
+    assert found is not None
+    assert found.radius == pytest.approx(R, rel=0.02) and found.sigma < 0.003
+
+
 def test_the_plane_of_the_question_holds_the_pixels_ray_and_is_level_across() -> None:
     asked, first = question()
     ray = first.rotation.apply(CAMERA.rays(asked.query))

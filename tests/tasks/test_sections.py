@@ -209,7 +209,8 @@ def test_held_radii_are_conditional() -> None:
     theta, fixed = 1e-3 * rng.normal(size=(N, 3)), np.arange(N) % 3 == 0
     blocks = np.tile(np.eye(3), (N, 1, 1))
     blocks[1] = np.ones((3, 3))  # tells of a sum alone
-    solution = Solution(theta, Spread(np.triu(covariance), blocks, np.ones(N)))
+    root = np.linalg.inv(np.linalg.cholesky(np.linalg.inv(covariance))).T
+    solution = Solution(theta, Spread(root + np.tri(3 * N, k=-1), blocks, np.ones(N)))
     held, at = solution.held(fixed), 3 * np.flatnonzero(fixed) + 2
     gain = covariance[:, at] @ np.linalg.inv(covariance[np.ix_(at, at)])
     np.testing.assert_allclose(held.theta.ravel(), theta.ravel() - gain @ theta.ravel()[at], atol=1e-12)

@@ -95,7 +95,7 @@ def test_sets_take_turns_when_sight_is_lost(monkeypatch: pytest.MonkeyPatch) -> 
     sets = TrackSets(Scripted, 1e-3)
     for c in circling(0.1, 5):
         sets.take_in(0, c)
-    monkeypatch.setattr(Scripted, "share", 0.3)
+    monkeypatch.setattr(Scripted, "share", 0.1)
     sizes = [len(sets.take_in(0, c)) for c in circling(0.1, 4, 0.2)]
     assert sizes == [8, 8, 16, 16]
 

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-_HALF_TURN_ABOUT_X = RigidTransform.from_rotation(Rotation.from_matrix(np.diag([1.0, -1.0, -1.0])))
+MUJOCO_AXES = np.array([1.0, -1.0, -1.0])  # along OpenCV's of the same name
+_HALF_TURN_ABOUT_X = RigidTransform.from_rotation(Rotation.from_matrix(np.diag(MUJOCO_AXES)))
 
 
 def swap_camera_axes(T_world_camera: RigidTransform) -> RigidTransform:

@@ -1,4 +1,6 @@
-"""Every error that extremal raises on purpose."""
+"""Every error that extremal raises on purpose, and a check that often comes before one."""
+
+from numbers import Integral
 
 
 class ExtremalError(Exception):
@@ -23,3 +25,8 @@ class SceneError(ExtremalError, ValueError):
 
 class RenderingError(ExtremalError, RuntimeError):
     """Offscreen rendering is not available or failed."""
+
+
+def is_whole(value: object) -> bool:
+    """Whether an argument is a whole number, of Python or numpy; True and False are none."""
+    return isinstance(value, Integral) and not isinstance(value, bool)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.calibration import HAND_EYE, Calibration
 from extremal.estimator.camera import Array, Camera
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import InvalidInput, is_whole
 from extremal.estimator.poses import PosePrior, pose_exp
 from extremal.estimator.projection import INTRINSICS, focal_sigma, intrinsics, turning, with_intrinsics
 from extremal.sim.arm_errors import ArmErrors, get_arm
@@ -63,7 +63,7 @@ class Rig:
         Raises InvalidInput for an unknown arm or camera, the message lists the names, and for a seed that is no whole number
         from 0.
         """
-        if isinstance(seed, bool) or not (isinstance(seed, int | np.integer) and seed >= 0):
+        if not (is_whole(seed) and seed >= 0):
             raise InvalidInput(f"seed of an arm is {seed!r}; accepted: a whole number from 0")
         errors, preset = get_arm(arm), get_camera(camera)
         geometry = errors.draw(np.random.default_rng([_INDIVIDUAL, seed]))

@@ -12,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator import Camera
 from extremal.estimator.camera import Array
-from extremal.estimator.errors import ExtremalError, InvalidInput
+from extremal.estimator.errors import ExtremalError, InvalidInput, is_whole
 from extremal.scenes import Scene
 from extremal.sim import ArmErrors, get_arm
 from extremal.tasks.carried import CarriedCamera, whole_error
@@ -171,9 +171,7 @@ class ActiveVisionEnv(gym.Env[Observation, Any], Generic[Setup]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Start the episode of a seed; without one, of the next that the generator draws. `options` replace fields of the tier."""
-        if seed is not None and (
-            isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0
-        ):
+        if seed is not None and not (is_whole(seed) and seed >= 0):
             raise InvalidInput(f"seed is {seed!r}; accepted: a whole number from 0, or none")
         super().reset(seed=None if seed is None else int(seed))
         tier = self.tier.with_options(options)

@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import InvalidInput, is_whole
 from extremal.sim.arm_errors import ARMS
 from extremal.tasks import ENVIRONMENTS
 from extremal.tasks.metrics import bootstrap_interval, wilson_interval
@@ -50,7 +50,7 @@ class Evaluation:
                 )
         get_tier(self.tier)
         for key in ("episodes", "seed"):
-            if isinstance(getattr(self, key), bool) or not isinstance(getattr(self, key), int | np.integer):
+            if not is_whole(getattr(self, key)):
                 raise InvalidInput(f"{key} is {getattr(self, key)!r}; accepted: a whole number")
         arguments_of(load_policy(self.policy, BASELINES[self.env]))
         if self.episodes < 1 or self.seed < 0 or self.seed + self.episodes > len(TEST_SEEDS):

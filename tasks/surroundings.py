@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from extremal.estimator.errors import InvalidInput, NotConverged
+from extremal.estimator.errors import InvalidInput, NotConverged, is_whole
 from extremal.scenes import Appearance, Background, Box, BoxPatch, Lathe, LathePatch, Light, Scene, Surface
 from extremal.scenes.curves import Array, Colour
 from extremal.scenes.markings import Face
@@ -34,7 +34,7 @@ class Streams:
         Raises:
             InvalidInput: a seed that is not a whole number from 0.
         """
-        if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        if not (is_whole(seed) and seed >= 0):
             raise InvalidInput(f"seed is {seed!r}; accepted: a whole number from 0")
         return Streams(*(np.random.default_rng([_STREAM, task, seed, i]) for i in range(4)))
 

@@ -14,7 +14,7 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from extremal.estimator.errors import InvalidInput
+from extremal.estimator.errors import InvalidInput, is_whole
 from extremal.sim import get_arm
 from extremal.sim.arm_errors import ArmName
 from extremal.tasks.objects import FAMILIES, HELD_OUT, LATHES, TRAINING, Family, checked_family
@@ -69,8 +69,7 @@ class Tier:
                 raise InvalidInput(f"{name} is {getattr(self, name)!r}; accepted: {', '.join(names)}")
         if not (isinstance(self.edge_noise, int | float | np.number) and 0 <= self.edge_noise <= 20):
             raise InvalidInput(f"edge_noise is {self.edge_noise!r}; accepted: a factor from 0 to 20")
-        whole = isinstance(self.clutter, int | np.integer) and not isinstance(self.clutter, bool)
-        if not (whole and 0 <= self.clutter <= MOST_CLUTTER):
+        if not (is_whole(self.clutter) and 0 <= self.clutter <= MOST_CLUTTER):
             raise InvalidInput(
                 f"clutter is {self.clutter!r}; accepted: a whole number from 0 to {MOST_CLUTTER}"
             )

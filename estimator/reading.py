@@ -68,9 +68,9 @@ def read_toml(path: Path, largest: int) -> dict[str, Any]:
 
 
 def shown(value: object) -> str:
-    """What an error shows of a value: its first 60 characters; Python refuses to write integers of many digits."""
+    """What an error shows of a value: its first 60 characters, in one line; Python refuses to write integers of many digits."""
     try:
-        return f"{value!r:.60}"
+        return " ".join(f"{value!r:.60}".split())
     except ValueError:
         return f"of type {type(value).__name__} with too many digits"
 

@@ -21,6 +21,7 @@ CLUSTER = "RAY_ADDRESS"
 PATIENCE = 10.0  # [s] for a cluster to answer
 LONGEST_START = 300.0  # [s] until one worker at least must be ready
 LONGEST_REASON = 300  # characters
+CLIENT = "ray://"  # Ray's client, which needs no node on this machine
 ALIKE = "nodes with the same versions of extremal, Ray and Python"
 MOST_STARTS = 10  # of workers in a row that die before they are ready
 QUIET = {"RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0"}  # what it says of a coming change of its own
@@ -55,15 +56,20 @@ def run_on_ray(
 
     Raises:
         RayMissing: Ray is not installed.
-        ClusterFailed: RAY_ADDRESS names no cluster that can be used.
+        ClusterFailed: RAY_ADDRESS names no cluster that can be used, or that cluster is gone.
     """
     with _session(workers) as ray:
         crew = _Crew(ray, run, Attempts(jobs), timeout)
-        while crew.at_work():
-            crew.fill(workers)
-            outcomes = crew.wait()
-            crew.fill(workers)  # what is free computes while outcomes are kept
-            yield from outcomes
+        try:
+            while crew.at_work():
+                crew.fill(workers)
+                outcomes = crew.wait()
+                crew.fill(workers)  # what is free computes while outcomes are kept
+                yield from outcomes
+        except ConnectionError as error:  # of Ray's client
+            raise ClusterFailed(
+                f"the Ray cluster is gone: {_line(error)}; accepted: one that runs until all is done; start again to go on"
+            ) from None
 
 
 class _Server(Generic[Job]):
@@ -241,9 +247,13 @@ def _connect(ray: Any, where: dict[str, Any]) -> None:
                 f"the Ray cluster at {where['address']} refuses this token, or the lack of one; accepted: RAY_AUTH_MODE=token "
                 "with the cluster's own in RAY_AUTH_TOKEN, or its file in RAY_AUTH_TOKEN_PATH"
             ) from None
+        needed = (
+            "the port of its server for clients, its token, ray[client] there and here"
+            if where["address"].startswith(CLIENT)
+            else "a cluster with a node on this machine"
+        )
         raise ClusterFailed(
-            f"Ray can't be used at {where['address']}: {error}; accepted: a cluster with a node on this machine, "
-            f"{ALIKE}"
+            f"Ray can't be used at {where['address']}: {error}; accepted: {needed}, {ALIKE}"
         ) from None
 
 

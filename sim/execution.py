@@ -7,6 +7,7 @@ make the arm lag behind a reference that moves.
 
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.spatial.transform import RigidTransform
 
 from extremal.estimator.camera import Array
 from extremal.estimator.errors import ExtremalError, InvalidInput
+from extremal.estimator.reading import shown
 from extremal.sim.arm import JOINT_LIMITS, JOINTS, add_arm
 from extremal.sim.chain import ArmGeometry
 from extremal.sim.warnings import warning_counts, warnings_of
@@ -59,12 +61,12 @@ class Drive:
             ("rest", 1e-9, 1.0),
         ):
             value = getattr(self, name)
-            if not least <= value <= most:
+            if not _is_within(value, least, most):
                 raise InvalidInput(
-                    f"{name} of the joints is {value!r}; accepted: {least:g} to {most:.3g} in radians and seconds"
+                    f"{name} of the joints is {shown(value)}; accepted: {least:g} to {most:.3g} in radians and seconds"
                 )
-        if not 0 <= self.settle <= 60:
-            raise InvalidInput(f"settle is {self.settle!r}; accepted: 0 to 60 s (0: shots on the fly)")
+        if not _is_within(self.settle, 0, 60):
+            raise InvalidInput(f"settle is {shown(self.settle)}; accepted: 0 to 60 s (0: shots on the fly)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +117,10 @@ def execute(
 
     Raises:
         ArmNotSettled: the arm is not at rest within `drive.settle`.
-        InvalidInput: positions of another shape or beyond what any joint reaches, a base without one finite pose, an
-            exposure that is none.
+        InvalidInput: positions that are no numbers, of another shape or beyond what any joint reaches, a base without one
+            finite pose, an exposure that is none.
     """
-    drive, commanded = drive or Drive(), np.asarray(commanded, float)
+    drive, commanded = drive or Drive(), _numbers(commanded)
     # also how long a motion may take depends on it
     if commanded.shape[1:] != (6,) or len(commanded) < 2 or not np.all(np.abs(commanded) <= FARTHEST):
         raise InvalidInput(
@@ -127,12 +129,31 @@ def execute(
         )
     if not (T_world_base.single and np.all(np.isfinite(T_world_base.as_matrix()))):
         raise InvalidInput("T_world_base is not one transform of finite numbers")
-    if not 0 <= exposure_time <= 10:
-        raise InvalidInput(f"exposure time is {exposure_time!r}; accepted: 0 to 10 s")
+    if not _is_within(exposure_time, 0, 10):
+        raise InvalidInput(f"exposure time is {shown(exposure_time)}; accepted: 0 to 10 s")
     arm = _PhysicalArm(geometry, T_world_base, commanded[0])
     run = _with_stops if drive.settle else _on_the_fly
     shots = run(arm, commanded, drive, exposure_time)
     return Execution(arm.path(), shots, exposure_time)
+
+
+def _is_within(value: Any, least: float, most: float) -> bool:
+    """Whether an argument is a number, of Python or numpy, in this range; True and False are none."""
+    is_number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
+    return is_number and bool(least <= value <= most)
+
+
+def _numbers(commanded: Any) -> Array:
+    """Commanded joint positions as numbers. What is none is refused: numpy would read texts and drop imaginary parts."""
+    try:
+        found = np.asarray(commanded)
+    except (TypeError, ValueError):  # rows of different lengths
+        found = np.array(None)
+    if found.dtype.kind not in "iuf":
+        raise InvalidInput(
+            f"commanded joint positions are {shown(commanded)}; accepted: finite numbers (V, 6) [rad]"
+        )
+    return found.astype(float)
 
 
 def _with_stops(arm: "_PhysicalArm", commanded: Array, drive: Drive, exposure_time: float) -> Array:

@@ -7,18 +7,24 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import TextIO
+from unittest.mock import MagicMock
 
 import pytest
 import sweep_jobs
 
 from extremal.scripts.sweep import SweepSettings, sweep
+from extremal.scripts.sweep_config import load_config
 from extremal.scripts.sweep_ray import ClusterFailed, run_on_ray
+from extremal.scripts.sweep_trials import run_trial
 
 needs_ray = pytest.mark.skipif(find_spec("ray") is None, reason="Ray is not installed")
 CONFIG = """
@@ -39,14 +45,16 @@ print(json.dumps({one.job: one.reason if one.result is None else one.result.deco
 """
 LONGEST = 300.0  # [s] for anything, on a busy machine
 GONE = 20.0  # [s] in which workers of a killed driver have to be gone
+HEAD, SECOND = "127.0.0.2", "127.0.0.3"  # loopback: for 127.0.0.1 Ray would take the outer interface
 RAY = ("RAY_ADDRESS", "RAY_AUTH_MODE", "RAY_AUTH_TOKEN", "RAY_AUTH_TOKEN_PATH")
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """A Ray of one node on the loopback interface: its address, token, and session of processes."""
+    """A Ray of one node on the loopback interface: its addresses, for nodes and for clients, token, and session of processes."""
 
     address: str
+    client_address: str
     token: str
     session: int
 
@@ -57,7 +65,25 @@ class Cluster:
     @property
     def workers(self) -> list[int]:
         """Processes that run trials, or could."""
-        return [pid for pid in in_session(self.session) if b"_Server" in command(pid)]
+        return workers_of(self.session)
+
+    @contextmanager
+    def second_node(self, folder: Path, path: str = "") -> Iterator[int]:
+        """With one more node, of one CPU."""
+        with node(
+            folder, SECOND, self.token, f"--address={self.address}", "--num-cpus=1", path=path
+        ) as session:
+            yield session
+
+
+def workers_of(session: int) -> list[int]:
+    """Processes of a node that run trials, or could."""
+    return [pid for pid in in_session(session) if b"_Server" in command(pid)]
+
+
+def without_ray() -> dict[str, str]:
+    """This environment, but for what it says of a cluster."""
+    return {k: v for k, v in os.environ.items() if k not in RAY}
 
 
 def command(pid: int) -> bytes:
@@ -93,35 +119,46 @@ def wait_until(condition: Callable[[], bool], seconds: float = LONGEST) -> None:
         time.sleep(0.05)
 
 
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Cluster]:
-    port, token = free_port(), secrets.token_hex(32)
+def said(log: TextIO) -> str:
+    """What another process has written by now."""
+    return os.pread(log.fileno(), 100_000, 0).decode()
+
+
+@contextmanager
+def node(folder: Path, ip: str, token: str, *options: str, path: str = "") -> Iterator[int]:
+    """A node of a Ray on the loopback interface, whose workers search `path` first; gives its session of processes."""
     own = {
         "RAY_AUTH_MODE": "token",
         "RAY_AUTH_TOKEN": token,
-        "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
-        "PYTHONPATH": str(Path(sweep_jobs.__file__).parent),
+        "PYTHONPATH": os.pathsep.join(filter(None, [path, str(Path(sweep_jobs.__file__).parent)])),
     }
-    options = ["--head", "--block", "--node-ip-address=127.0.0.1", f"--port={port}", "--num-cpus=2"]
-    more = ["--include-dashboard=false", "--disable-usage-stats", "--object-store-memory=100000000"]
-    with tempfile.TemporaryDirectory(prefix="r") as folder:  # names of sockets have to be short
-        log, start = Path(folder) / "log", [sys.executable, "-m", "ray.scripts.scripts", "start"]
-        with log.open("w") as out:
-            head = subprocess.Popen(
-                [*start, *options, *more, f"--temp-dir={folder}/ray"],
-                env={k: v for k, v in os.environ.items() if k not in RAY} | own,
-                stdout=out,
-                stderr=out,
-                start_new_session=True,
-            )
+    more = ["--block", f"--node-ip-address={ip}", "--disable-usage-stats", "--object-store-memory=100000000"]
+    start = [sys.executable, "-m", "ray.scripts.scripts", "start", *options, *more]
+    with TemporaryFile("w+", dir=folder) as log:
+        process = subprocess.Popen(
+            start, env=without_ray() | own, stdout=log, stderr=log, start_new_session=True
+        )
         try:
-            wait_until(lambda: "Ray runtime started" in log.read_text())
-            yield Cluster(f"127.0.0.1:{port}", token, head.pid)
+            wait_until(lambda: "Ray runtime started" in said(log) or process.poll() is not None)
+            assert process.poll() is None, said(log)
+            yield process.pid
         finally:
-            head.terminate()
-            head.wait(60)
-            for pid in in_session(head.pid):
+            process.terminate()
+            process.wait(60)
+            for pid in in_session(process.pid):
                 os.kill(pid, signal.SIGKILL)
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Cluster]:
+    port, client_port, token = free_port(), free_port(), secrets.token_hex(32)
+    with TemporaryDirectory(prefix="r") as folder:  # names of sockets have to be short
+        options = ["--head", f"--port={port}", "--num-cpus=2", f"--temp-dir={folder}/ray"]
+        more = ["--include-dashboard=false"]
+        if find_spec("grpc"):  # else Ray takes no such option
+            more.append(f"--ray-client-server-port={client_port}")
+        with node(Path(folder), HEAD, token, *options, *more) as session:
+            yield Cluster(f"{HEAD}:{port}", f"ray://{HEAD}:{client_port}", token, session)
 
 
 @pytest.fixture
@@ -131,21 +168,39 @@ def config(tmp_path: Path) -> Path:
     return path
 
 
-def started(arguments: list[str], **environment: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+@contextmanager
+def started(
+    arguments: list[str], environment: dict[str, str], cwd: Path | None = None
+) -> Iterator[subprocess.Popen[str]]:
+    """A process in a folder, which Ray lets workers of this machine search as well; it ends with the context."""
+    with subprocess.Popen(
         [sys.executable, "-c", *arguments],
-        env={k: v for k, v in os.environ.items() if k not in RAY} | environment,
+        cwd=cwd,
+        env=without_ray() | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-    )
+    ) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
-def swept(config: Path, out: Path, **environment: str) -> tuple[int, str]:
+def swept(config: Path, out: Path, *more: str, main: str = MAIN, **environment: str) -> tuple[int, str]:
     """Exit status and standard error output of a sweep by Ray."""
-    with started([MAIN, "sweep", str(config), "--engine", "ray", "--out", str(out)], **environment) as driver:
+    arguments = [main, "sweep", str(config), "--engine", "ray", "--out", str(out), *more]
+    with started(arguments, environment, config.parent) as driver:
         error = driver.communicate(timeout=LONGEST)[1]
     return driver.returncode, error
+
+
+def digest(out: Path) -> str:
+    return (out / "digest.txt").read_text()
+
+
+def in_one_line(error: str) -> bool:
+    return error.startswith("extremal: error: ") and error.count("\n") == 1 and "accepted: " in error
 
 
 @pytest.mark.parametrize(
@@ -160,6 +215,15 @@ def test_an_address_where_nothing_listens_is_told_at_once(
         next(run_on_ray(sweep_jobs.do, ["square 3"], 1, 60.0))
 
 
+def test_a_cluster_that_is_lost_by_its_client_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As Ray's client has it: an error of its connection, whose message may go on for lines."""
+    ray = MagicMock()
+    ray.wait.side_effect = ConnectionError("no connection\nand more")
+    monkeypatch.setattr("extremal.scripts.sweep_ray._session", lambda workers: nullcontext(ray))
+    with pytest.raises(ClusterFailed, match=r"gone: no connection; accepted: .*start again"):
+        next(run_on_ray(sweep_jobs.do, ["square 3"], 1, 60.0))
+
+
 @pytest.mark.slow
 @needs_ray
 def test_a_cluster_gives_the_same_bytes_whatever_is_killed(
@@ -168,14 +232,14 @@ def test_a_cluster_gives_the_same_bytes_whatever_is_killed(
     sweep(SweepSettings(config, out=tmp_path / "local"))
     out = tmp_path / "ray"
     arguments = [MAIN, "sweep", str(config), "--engine", "ray", "--out", str(out)]
-    with started(arguments, **cluster.environment) as driver:
+    with started(arguments, cluster.environment) as driver:
         wait_until(lambda: len(list(out.glob("trials/*.json"))) >= 3)
         before = {path: path.read_bytes() for path in out.glob("trials/*.json")}
         os.kill(cluster.workers[0], signal.SIGKILL)
         driver.kill()
     wait_until(lambda: not cluster.workers, GONE)
     assert swept(config, out, **cluster.environment) == (0, "")
-    assert (out / "digest.txt").read_text() == (tmp_path / "local/digest.txt").read_text()
+    assert digest(out) == digest(tmp_path / "local")
     assert all(path.read_bytes() == content for path, content in before.items())
     wait_until(lambda: not cluster.workers, GONE)
 
@@ -190,7 +254,7 @@ def test_without_the_token_one_line_says_so(
 ) -> None:
     begin = time.monotonic()
     status, error = swept(config, tmp_path / "out", RAY_ADDRESS=cluster.address, **token)
-    assert status == 2 and error.count("\n") == 1
+    assert status == 2 and in_one_line(error)
     assert "refuses this token" in error and "RAY_AUTH_TOKEN_PATH" in error
     assert time.monotonic() - begin < 90 and not cluster.workers
 
@@ -202,7 +266,7 @@ def test_jobs_that_kill_their_worker_or_take_too_long_are_given_up(tmp_path: Pat
     once, slow = f"kill-once {tmp_path / 'mark'}", f"sleep {tmp_path / 'pid'}"
     jobs = ["square 3", "kill", "raise", once, slow, "square 4", "environment"]
     support = str(Path(sweep_jobs.__file__).parent)
-    with started([JOBS, *jobs], PYTHONPATH=support, **cluster.environment) as driver:
+    with started([JOBS, *jobs], cluster.environment | {"PYTHONPATH": support}) as driver:
         out = driver.communicate(timeout=LONGEST)[0]
     found = json.loads(out.splitlines()[-1])  # Ray tells of killed workers on its own account
     assert (found["square 3"], found["square 4"], found[once], found["environment"]) == (
@@ -212,3 +276,75 @@ def test_jobs_that_kill_their_worker_or_take_too_long_are_given_up(tmp_path: Pat
     assert found["raise"] == "it failed 2 times, the last time: ZeroDivisionError: of no use"
     assert found[slow] == "it failed 2 times, the last time: it took more than 5 s"
     wait_until(lambda: not cluster.workers, GONE)
+
+
+@pytest.mark.slow
+@needs_ray
+def test_two_nodes_give_the_same_bytes(tmp_path: Path, config: Path, cluster: Cluster) -> None:
+    """Three workers: the first node has room for two."""
+    sweep(SweepSettings(config, out=tmp_path / "local"))
+    out = tmp_path / "ray"
+    arguments = [MAIN, "sweep", str(config), "--engine", "ray", "--workers", "3", "--out", str(out)]
+    with (
+        cluster.second_node(tmp_path) as second,
+        started(arguments, cluster.environment) as driver,
+    ):
+        wait_until(lambda: bool(cluster.workers and workers_of(second)) or driver.poll() is not None)
+        assert driver.poll() is None
+        assert driver.communicate(timeout=LONGEST)[1] == "" and driver.returncode == 0
+    assert digest(out) == digest(tmp_path / "local")
+
+
+@pytest.mark.slow
+@needs_ray
+def test_a_client_of_the_cluster_gives_the_same_bytes_or_is_told_what_is_missing(
+    tmp_path: Path, config: Path, cluster: Cluster
+) -> None:
+    """By ray://, for which Ray needs gRPC."""
+    out, environment = tmp_path / "ray", cluster.environment | {"RAY_ADDRESS": cluster.client_address}
+    if not find_spec("grpc"):
+        environment["RAY_ADDRESS"] = (
+            f"ray://{cluster.address}"  # no server for clients runs, but something listens
+        )
+        status, error = swept(config, out, **environment)
+        assert status == 2 and in_one_line(error) and "ray[client]" in error
+        return
+    sweep(SweepSettings(config, out=tmp_path / "local"))
+    assert swept(config, out, **environment) == (0, "")
+    assert digest(out) == digest(tmp_path / "local")
+    status, error = swept(config, tmp_path / "no", RAY_ADDRESS=cluster.client_address)
+    assert status == 2 and in_one_line(error) and "token" in error
+    wait_until(lambda: not cluster.workers, GONE)
+
+
+@pytest.mark.slow
+@needs_ray
+def test_a_node_with_another_version_is_refused(tmp_path: Path, config: Path, cluster: Cluster) -> None:
+    """In one line; no table is made, and what the other node has computed by then is whole and right."""
+    config.write_text(
+        CONFIG.replace("trials = 12", "trials = 1500")
+    )  # enough until the third worker is ready
+    out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
+    about = elsewhere / "extremal-98.7.dist-info/METADATA"
+    about.parent.mkdir(parents=True)
+    about.write_text("Metadata-Version: 2.1\nName: extremal\nVersion: 98.7\n")
+    with cluster.second_node(tmp_path, str(elsewhere)) as second:
+        status, error = swept(config, out, "--workers", "3", **cluster.environment)
+        assert status == 2 and in_one_line(error)
+        assert f"extremal 98.7 instead of {version('extremal')}" in error
+        wait_until(lambda: not cluster.workers and not workers_of(second), GONE)
+    assert {path.name for path in out.iterdir()} == {"sweep.json", "trials"}
+    kept = {path.name: json.loads(path.read_bytes()) for path in (out / "trials").iterdir()}
+    trials = [trial for trial in load_config(config).all_trials() if f"{trial.key}.json" in kept]
+    assert len(trials) == len(kept)
+    for trial in trials[:10]:
+        expected, found = json.loads(run_trial(trial)), kept[f"{trial.key}.json"]
+        assert {**found, "seconds": 0} == {**expected, "seconds": 0}
+
+
+@pytest.mark.slow
+@needs_ray
+def test_another_version_of_ray_is_refused(tmp_path: Path, config: Path, cluster: Cluster) -> None:
+    main = f"import ray; ray.__version__ = '1.2.3'; {MAIN}"
+    status, error = swept(config, tmp_path / "out", main=main, **cluster.environment)
+    assert status == 2 and in_one_line(error) and "1.2.3" in error and not cluster.workers

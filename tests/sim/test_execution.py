@@ -1,7 +1,9 @@
 """Motion under physics: where the arm comes to rest, how it follows, limits, motion blur, clear errors."""
 
+import re
 import time
 from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -132,6 +134,59 @@ def test_exposures_do_not_overlap() -> None:
 def test_bad_drives_are_named(values: dict[str, float], message: str) -> None:
     with pytest.raises(InvalidInput, match=message):
         Drive(**values)
+
+
+NO_NUMBERS = ("1.0", "", b"1", None, [], [1.0], {}, True, np.True_, 1j, np.complex64(1), np.ones(1), 10**5000)
+
+
+@pytest.mark.parametrize("value", NO_NUMBERS, ids=lambda value: type(value).__name__)
+def test_what_is_no_number_is_named(value: Any) -> None:
+    named = "too many digits" if isinstance(value, int) and value > 1 else re.escape(repr(value))
+    for name in ("speed", "acceleration", "settle", "rest"):
+        with pytest.raises(InvalidInput, match=rf"^{name} .*is .*{named}; accepted: "):
+            Drive(**{name: value})
+    with pytest.raises(InvalidInput, match=rf"exposure time is .*{named}; accepted: 0 to 10 s"):
+        run(Drive(), value)
+
+
+@pytest.mark.parametrize("number", [1, np.float64(1), np.float32(1), np.int64(1)])
+def test_numbers_of_numpy_are_numbers(number: Any) -> None:
+    made = Drive(number, number, number, number)
+    assert made == Drive(1.0, 1.0, 1.0, 1.0)
+    found, expected = (
+        run(drive, commanded=COMMANDED[:2]).joint_positions for drive in (made, Drive(1.0, 1.0, 1.0, 1.0))
+    )
+    np.testing.assert_array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    "commanded",
+    [
+        None,
+        "x",
+        b"",
+        {},
+        [[None] * 6] * 2,
+        [["0"] * 6] * 2,  # numpy would read them
+        np.full((2, 6), "x"),
+        np.zeros((2, 6), complex),
+        np.zeros((2, 6), bool),
+        np.zeros((2, 6), "datetime64[s]"),
+        [[0.0] * 6, [0.0] * 5],
+        [[10**400] * 6] * 2,
+    ],
+)
+def test_positions_that_are_no_numbers_are_named(commanded: Any) -> None:
+    with pytest.raises(
+        InvalidInput, match=r"commanded joint positions are .*; accepted: .*\(V, 6\)"
+    ) as error:
+        run(Drive(), commanded=commanded)
+    assert "\n" not in str(error.value) and len(str(error.value)) < 200
+
+
+def test_positions_may_be_lists_of_whole_numbers() -> None:
+    found = run(Drive(), commanded=cast(Any, [[0, -1, 1, 0, 0, 0], [0, -1, 1, 0, 0, 1]]))
+    assert np.abs(found.joint_positions[-1] - [0, -1, 1, 0, 0, 1]).max() < 1e-6
 
 
 def test_bad_input() -> None:

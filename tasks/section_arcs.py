@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from extremal.estimator.camera import Array
 from extremal.tasks.compiled import compiled
+from extremal.tasks.section_unknowns import changed
 from extremal.tasks.triples import Vector, dot, plus, put, row, times, turned
 
 
@@ -45,43 +46,52 @@ def widen(believed: Array, normals: Array, sigma: Array, frame: Array, first: Ar
 
 
 @compiled
+def arc_middle(first: Array, last: Array) -> Array:
+    """Middles (n,) [rad] of arcs from `first` to `last` (n,) [rad]; 0 of none."""
+    out = np.zeros(len(first))
+    for i in range(len(first)):
+        if first[i] <= last[i]:
+            out[i] = 0.5 * (first[i] + last[i])
+    return out
+
+
+@compiled
 def middles(
     origin: Array,
     frame: Array,
-    first: Array,
-    last: Array,
+    middle: Array,
+    change: Array,
     seen: Array,
     theta: Array,
     spread: Array,
     valid: NDArray[np.bool_],
     ratio: float,
 ) -> tuple[Array, Array, Array]:
-    """Contact points (n, 3) o + s N_0 + q T_0 + R (N(phi) - N_0) in the middles of arcs, their covariances (n, 3, 3), infinite
-    where not valid, and the surface normals (n, 3) there: slanted as in the look that comes nearest.
+    """Contact points (n, 3) o + s N_0 + q T_0 + R (N(phi) - N_0) + c (f N(phi) + f' N'(phi)) in the middles of arcs, as of
+    `section_rows`, their covariances (n, 3, 3), infinite where not valid, and the surface normals (n, 3) there: slanted as in the look
+    that comes nearest.
 
     Args:
-        first, last: (n,) [rad] as of `widen`. seen: (looks, n, 3) normals in the world, zero where unseen.
+        middle: (n,) [rad] phi. change: (n,) [m/rad] c. seen: (looks, n, 3) normals in the world, zero where unseen.
         theta: (n, 3) with covariance spread (n, 3, 3), where sigma is to be `ratio` times as large.
     """
     n = len(origin)
     points, covariance, normals = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty((n, 3))
     J = np.empty((3, 3))
     for i in range(n):
-        phi = 0.5 * (first[i] + last[i]) if first[i] <= last[i] else 0.0
+        cosine, sine = math.cos(middle[i]), math.sin(middle[i])
         N, T, up = row(frame[i], 0), row(frame[i], 1), row(frame[i], 2)
-        middle = plus(times(math.cos(phi), N), math.sin(phi), T)
+        normal, along = plus(times(cosine, N), sine, T), plus(times(-sine, N), cosine, T)
         put(J, 0, N)
         put(J, 1, T)
-        put(J, 2, plus(middle, -1.0, N))
-        put(
-            points,
-            i,
-            plus(plus(plus(row(origin, i), theta[i, 0], N), theta[i, 1], T), theta[i, 2], row(J, 2)),
-        )
+        put(J, 2, plus(normal, -1.0, N))
+        point = plus(plus(plus(row(origin, i), theta[i, 0], N), theta[i, 1], T), theta[i, 2], row(J, 2))
+        f, turned_by = changed(middle[i], middle[i])
+        put(points, i, plus(plus(point, change[i] * f, normal), change[i] * turned_by, along))
         for k in range(3):
             for m in range(3):
                 covariance[i, k, m] = ratio * ratio * _form(J, spread[i], k, m) if valid[i] else math.inf
-        put(normals, i, _slanted(seen[:, i], middle, up))
+        put(normals, i, _slanted(seen[:, i], normal, up))
     return points, covariance, normals
 
 

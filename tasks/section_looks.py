@@ -29,7 +29,7 @@ class Rows(NamedTuple):
 
     @staticmethod
     def zeros(looks: int, n: int) -> "Rows":
-        tails = (4, 4), (6, 6), (n, 3), (n,), (n, 3, 3), (6, 3 * n), (3 * n,), (6,), (6, 6), (n,)
+        tails = (4, 4), (6, 6), (n, 3), (n,), (n, 4, 4), (6, 4 * n), (4 * n,), (6,), (6, 6), (n,)
         return Rows(*(np.zeros((looks, *tail)) for tail in tails))
 
     def part(self, first: int, last: int) -> "Rows":
@@ -75,11 +75,11 @@ class Looks:
 
 
 class Sums:
-    """Normal equations of n sections.
+    """Normal equations of n sections, whose unknowns are in the order of `section_rows`.
 
     Attributes:
-        matrix: (3 n, 3 n), the upper triangle. right: (3 n,).
-        blocks: (n, 3, 3) of the information for known poses.
+        matrix: (4 n, 4 n), the upper triangle. right: (4 n,).
+        blocks: (n, 4, 4) of the information for known poses, without the prior.
     """
 
     def __init__(self, matrix: Array, right: Array, blocks: Array) -> None:
@@ -87,11 +87,9 @@ class Sums:
 
     @staticmethod
     def prior(information: Array) -> "Sums":
-        """Of no look: information (n, 3) on s, q, R."""
-        n = len(information)
-        matrix = np.zeros((3 * n, 3 * n))
-        matrix.ravel()[:: 3 * n + 1] = information.ravel()
-        return Sums(matrix, np.zeros(3 * n), np.zeros((n, 3, 3)))
+        """Of no look: information (4 n, 4 n)."""
+        n = len(information) // 4
+        return Sums(information.copy(), np.zeros(4 * n), np.zeros((n, 4, 4)))
 
     def copy(self) -> "Sums":
         return Sums(self.matrix.copy(), self.right.copy(), self.blocks.copy())
@@ -107,13 +105,19 @@ class Sums:
 
 @compiled
 def _add(blocks: Array, right: Array, sign: float, matrix: Array, total: Array, each: Array) -> None:
-    """Add sign times what V looks say but for the loss of information, blocks (V, n, 3, 3) and right (V, 3 n), to what `Sums` holds."""
+    """Add sign times what V looks say but for the loss of information, blocks (V, n, 4, 4) and right (V, 4 n), to what `Sums` holds."""
     looks, n = blocks.shape[:2]
     for v in range(looks):
+        for i in range(4 * n):
+            total[i] += sign * right[v, i]
         for i in range(n):
-            for j in range(3):
-                total[3 * i + j] += sign * right[v, 3 * i + j]
-                for k in range(3):
+            for j in range(4):
+                for k in range(4):
                     each[i, j, k] += sign * blocks[v, i, j, k]
+            at = n + 3 * i
+            matrix[i, i] += sign * (1 + ROUNDING) * blocks[v, i, 3, 3]
+            for j in range(3):
+                matrix[i, at + j] += sign * blocks[v, i, 3, j]
+                for k in range(3):
                     rounded = 1 + ROUNDING if j == k else 1.0
-                    matrix[3 * i + j, 3 * i + k] += sign * rounded * blocks[v, i, j, k]
+                    matrix[at + j, at + k] += sign * rounded * blocks[v, i, j, k]

@@ -1,11 +1,19 @@
 """Linear equations that looks at sections make.
 
-    w (n.(v - o) - (a s + b q + (rho - a) R)) = noise,    T = T_believed exp(root z),  z ~ N(0, I)
+    w (n.(v - o) - (a s + b q + (rho - a) R + rho f(phi) c)) = noise,    T = T_believed exp(root z),  z ~ N(0, I)
 
-as in `estimator.adjustment`: rows y = X theta + O z + noise of theta = (s, q, R), in standard deviations. With z eliminated,
+as in `estimator.adjustment`: rows y = X theta + O z + noise of theta = (s, q, R, c), in standard deviations. With z eliminated,
 a look is information on theta: X'X of each section alone, less G G' that the look's pose takes from all of them together.
 With L L' = I + O'O and an orthonormal basis Q = O inv(L)' of what the pose can explain, G = X'Q; the right side of the
 normal equations is X'(y - Q Q'y), and z = inv(L)'(Q'y - G' theta) is the pose that fits theta best.
+
+Sections are no circles: their radius is R at phi = m, the middle of the arc that was seen, and changes by c in a radian. With the
+support h of a section, h + h'' is its radius (do Carmo, Differential Geometry of Curves and Surfaces, sec. 1-7, exercise 8), so that
+
+    f(phi) = phi - m + m cos phi - sin phi,    f(0) = f'(0) = 0
+
+What of this a circle leaves, c / 24 times the arc's third power, is a tenth of a pixel, but alike in all looks and tracks: poses that
+are free by 1 mm would bend to explain it, and shift all radii together by several standard deviations.
 
 Arrays of V looks at n sections:
 
@@ -14,9 +22,12 @@ Arrays of V looks at n sections:
 | believed, root | (V, 4, 4), (V, 6, 6) | poses; square roots of their covariances |
 | normals, sigma | (V, n, 3), (V, n) | tangent planes in the camera frame; [rad], infinite where unseen |
 | origin, frame, distance | (n, 3), (n, 3, 3), (n,) | of the sections, as `SectionSmoother` describes them |
-| blocks, right | (V, n, 3, 3), (V, 3 n) | X'X for known poses; X'(y - Q Q'y) |
-| loss, pull, inverse | (V, 6, 3 n), (V, 6), (V, 6, 6) | G', Q'y, inv(L) |
+| middle | (n,) | [rad] m |
+| blocks, right | (V, n, 4, 4), (V, 4 n) | X'X for known poses; X'(y - Q Q'y) |
+| loss, pull, inverse | (V, 6, 4 n), (V, 6), (V, 6, 6) | G', Q'y, inv(L) |
 | off | (V, n) | [rad] by which planes miss their sections |
+
+All unknowns are in the order c of all sections, then s, q, R of one section after the other (`stacked`).
 """
 
 import math
@@ -25,6 +36,7 @@ import numpy as np
 
 from extremal.estimator.camera import Array
 from extremal.tasks.compiled import compiled
+from extremal.tasks.section_unknowns import Unknowns, changed, stacked, unknowns
 from extremal.tasks.triples import Vector, crossed, dot, plus, put, row, row_in, times, turned, turned_back
 
 TERMS = 6  # of the series of a pose error: to rounding at 0.1 rad
@@ -35,11 +47,11 @@ NEAREST = 0.25  # of their first distance that contact points are from the camer
 def placed(
     believed: Array, root: Array, normals: Array, theta: Array, loss: Array, pull: Array, inverse: Array
 ) -> tuple[Array, Array, Array]:
-    """Where looks are linearised: z (V, 6) of the poses that fit theta (n, 3) best, these poses (V, 4, 4), and tangent planes
+    """Where looks are linearised: z (V, 6) of the poses that fit theta (n, 4) best, these poses (V, 4, 4), and tangent planes
     (V, n, 3) in the world. Of a look that has told nothing yet (all zero) the pose is the believed one."""
     looks, n = normals.shape[:2]
     z, poses, planes = np.zeros((looks, 6)), believed.copy(), np.empty(normals.shape)
-    twist, told = np.empty(6), loss.reshape(6 * looks, 3 * n) @ theta.ravel()
+    twist, told = np.empty(6), loss.reshape(6 * looks, 4 * n) @ stacked(theta)
     for v in range(looks):
         for k in range(6):
             for i in range(k, 6):
@@ -63,6 +75,7 @@ def tell(
     root: Array,
     sigma: Array,
     theta: Array,
+    middle: Array,
     origin: Array,
     frame: Array,
     distance: Array,
@@ -75,14 +88,14 @@ def tell(
     inverse: Array,
     off: Array,
 ) -> None:
-    """What looks say, linearised at theta (n, 3) and where they are `placed`; the last six arguments are written.
+    """What looks say, linearised at theta (n, 4) and where they are `placed`; the last six arguments are written.
 
     Args:
         repeats: (n,) [rad] standard deviation of errors that repeat from look to look.
         far: standard deviations from which a row weighs less; its pull falls as it goes farther.
     """
     looks, n = sigma.shape
-    X, O, y = np.empty((n, 3)), np.empty((n, 6)), np.empty(n)
+    X, O, y = np.empty((n, 4)), np.empty((n, 6)), np.empty(n)
     for v in range(looks):
         eye = poses[v, 0, 3], poses[v, 1, 3], poses[v, 2, 3]
         for i in range(n):
@@ -90,12 +103,16 @@ def tell(
                 X[i], O[i], y[i], off[v, i] = 0.0, 0.0, 0.0, 0.0
                 continue
             spread = math.sqrt(sigma[v, i] * sigma[v, i] + repeats[i] * repeats[i])
-            s, plane = row(theta, i), row_in(planes, v, i)
+            s, plane = unknowns(theta, i), row_in(planes, v, i)
             N, T, lever = row_in(frame, i, 0), row_in(frame, i, 1), plus(eye, -1.0, row(origin, i))
-            x, slope, arm, miss, weight = _row(plane, spread, s, lever, N, T, NEAREST * distance[i], far)
-            put(X, i, times(weight, x))
+            x, slope, arm, miss, weight = _row(
+                plane, spread, s, middle[i], lever, N, T, NEAREST * distance[i], far
+            )
             moved = _of_pose(poses, root, z, v, slope, crossed(plane, arm), -weight, O, i)
-            y[i] = weight * (miss + dot(x, s) - moved)
+            y[i] = weight * (miss - moved)
+            for j in range(4):
+                X[i, j] = weight * x[j]
+                y[i] += X[i, j] * s[j]
             off[v, i] = miss / math.sqrt(dot(arm, arm))
         _eliminate(X, O, y, blocks[v], loss[v], right[v], pull[v], inverse[v])
 
@@ -107,21 +124,24 @@ def missed(
     planes: Array,
     spread: Array,
     theta: Array,
+    middle: Array,
     origin: Array,
     frame: Array,
     distance: Array,
 ) -> tuple[Array, Array, Array]:
     """By how much tangent planes (n, 3) in the world, seen from a believed pose (4, 4), miss their sections, in standard deviations
-    `spread` (n,) [rad], finite: r (n,), which is X (n, 3) times the error of theta and O (n, 6) times z, besides the noise."""
+    `spread` (n,) [rad], finite: r (n,), which is X (n, 3) times the error of s, q, R and O (n, 6) times z, besides the noise."""
     n = len(spread)
     X, O, r = np.empty((n, 3)), np.empty((n, 6)), np.empty(n)
     poses, roots, z = believed.reshape(1, 4, 4), root.reshape(1, 6, 6), np.zeros((1, 6))
     eye = believed[0, 3], believed[1, 3], believed[2, 3]
     for i in range(n):
-        s, plane = row(theta, i), row(planes, i)
+        s, plane = unknowns(theta, i), row(planes, i)
         N, T, lever = row_in(frame, i, 0), row_in(frame, i, 1), plus(eye, -1.0, row(origin, i))
-        x, slope, arm, miss, weight = _row(plane, spread[i], s, lever, N, T, NEAREST * distance[i], math.inf)
-        put(X, i, times(weight, x))
+        x, slope, arm, miss, weight = _row(
+            plane, spread[i], s, middle[i], lever, N, T, NEAREST * distance[i], math.inf
+        )
+        put(X, i, times(weight, (x[0], x[1], x[2])))
         _of_pose(poses, roots, z, 0, slope, crossed(plane, arm), -weight, O, i)
         r[i] = weight * miss
     return X, O, r
@@ -129,25 +149,35 @@ def missed(
 
 @compiled
 def _row(
-    n: Vector, sigma: float, theta: Vector, lever: Vector, N: Vector, T: Vector, nearest: float, far: float
-) -> tuple[Vector, Vector, Vector, float, float]:
+    n: Vector,
+    sigma: float,
+    theta: Unknowns,
+    middle: float,
+    lever: Vector,
+    N: Vector,
+    T: Vector,
+    nearest: float,
+    far: float,
+) -> tuple[Unknowns, Vector, Vector, float, float]:
     """Of a tangent plane n: derivatives of its miss by theta and by the camera, the arm from contact point to camera, the miss and
     the weight."""
-    R = theta[2]
+    R, c = theta[2], theta[3]
     a, b = dot(N, n), dot(T, n)
     rho = max(math.sqrt(a * a + b * b), 1e-9)
-    to_unit = 1 / rho
-    arm = plus(plus(lever, R - theta[0] - R * a * to_unit, N), -theta[1] - R * b * to_unit, T)
+    cosine, sine = a / rho, b / rho
+    f, turned = changed(math.atan2(b, a), middle)
+    d, e = f * cosine - turned * sine, f * sine + turned * cosine  # of the contact point, by c
+    arm = plus(plus(lever, R - theta[0] - R * cosine - c * d, N), -theta[1] - R * sine - c * e, T)
     # a contact point that is believed to be in the camera, by a step too long, would weigh without bound
     per_away = 1 / max(math.sqrt(dot(arm, arm)), nearest)
-    miss = dot(n, lever) - (a * theta[0] + b * theta[1] + (rho - a) * R)
+    miss = dot(n, lever) - (a * theta[0] + b * theta[1] + (rho - a) * R + rho * f * c)
     weight = per_away / sigma
     if abs(weight * miss) > far:
         weight *= far / abs(weight * miss)
     # Angles are measured, miss / away: with distances held, a smaller world would always fit better.
     slope = plus(n, -miss * per_away * per_away, arm)
     s, q = dot(N, slope), dot(T, slope)
-    return (s, q, (s * a + q * b) * to_unit - s), slope, arm, miss, weight
+    return (s, q, s * cosine + q * sine - s, s * d + q * e), slope, arm, miss, weight
 
 
 @compiled
@@ -169,7 +199,7 @@ def _of_pose(
 def _eliminate(
     X: Array, O: Array, y: Array, blocks: Array, loss: Array, right: Array, pull: Array, inverse: Array
 ) -> None:
-    """What rows X (n, 3), O (n, 6), y (n,) of one look say of theta; the last five arguments are written."""
+    """What rows X (n, 4), O (n, 6), y (n,) of one look say of theta; the last five arguments are written."""
     n = len(y)
     information = np.eye(6)
     for i in range(n):
@@ -189,11 +219,14 @@ def _eliminate(
         left = y[i]
         for k in range(6):
             left -= O[i, k] * pull[k]
+            loss[k, i] = O[i, k] * X[i, 3]
             for j in range(3):
-                loss[k, 3 * i + j] = O[i, k] * X[i, j]
+                loss[k, n + 3 * i + j] = O[i, k] * X[i, j]
+        right[i] = X[i, 3] * left
         for j in range(3):
-            right[3 * i + j] = X[i, j] * left
-            for k in range(3):
+            right[n + 3 * i + j] = X[i, j] * left
+        for j in range(4):
+            for k in range(4):
                 blocks[i, j, k] = X[i, j] * X[i, k]
 
 

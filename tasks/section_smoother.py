@@ -1,7 +1,7 @@
 """Sections and camera poses from all looks of a set of tracks at once, with every look.
 
 It is the adjustment of `estimator.adjustment`, of a few dozen tracks: they are so few that the dense system of their unknowns
-theta = (s, q, R) is solved in a fraction of a millisecond, once the poses are eliminated look by look (`section_rows`).
+theta = (s, q, R, c) is solved in a fraction of a millisecond, once the poses are eliminated look by look (`section_rows`).
 `ContourFilter`, which is made for hundreds of tracks, linearises a look but once: with few tracks and poses that are off by
 1 mm and 1 mrad, the path that it finds is bent across the sections' planes, by several of its standard deviations. Here a
 look keeps its linear equations only as long as the sections stay where they were, and looks do not become many more.
@@ -10,20 +10,21 @@ look keeps its linear equations only as long as the sections stay where they wer
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
-from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri  # pyright: ignore[reportAttributeAccessIssue]
+from scipy.linalg.lapack import dpotrf, dtrtri, dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 
 from extremal.estimator.adjustment import FAR, LOOSE
 from extremal.estimator.camera import Array
 from extremal.estimator.poses import six_columns
 from extremal.estimator.slant import FAR as FAR_SLANT
 from extremal.tasks.compiled import compiled
-from extremal.tasks.section_arcs import widen
+from extremal.tasks.section_arcs import arc_middle, widen
 from extremal.tasks.section_looks import Looks, Rows, Sums
 from extremal.tasks.section_misfit import repeated
 from extremal.tasks.section_rows import missed, placed, tell
 from extremal.tasks.section_slant import smoothed
 from extremal.tasks.section_solution import Solution, Spread
 from extremal.tasks.section_strays import strays
+from extremal.tasks.section_unknowns import moved, within, without_change
 
 MOST_LOOKS = 120  # that are kept: of more, the one goes whose neighbours are nearest to each other
 EARLY = 12  # looks, before which none is an outlier
@@ -33,6 +34,8 @@ MOVED = 0.002  # [m] by which half of the sections have moved when all looks are
 GROWTH = 1.25  # or factor on the number of looks
 SPREAD_GROWTH = 1.08  # factor on the number of looks, after which covariances are computed anew, and misfits
 ACROSS_PRIOR, DEPTH_PRIOR, RADIUS_PRIOR = 0.1, 0.06, 0.06  # sigma of s [m], q (share of the distance), R [m]
+TOGETHER = 0.2  # sigma of q that all have in common, share of the distance
+CHANGE_PRIOR, LEAST_CHANGE = 0.5, 0.001  # sigma of c, in R; and [m/rad]
 LARGEST_RADIUS = 0.3  # [m] at which looks are linearised
 JUDGING = 4  # looks, from which on others are judged by them
 BEFORE = 2  # looks in which a contour may have been another already
@@ -46,6 +49,7 @@ class SectionSmoother:
     Attributes:
         fixed: (n,) sections that are believed to be fixed: where looks are linearised.
         first, last: (n,) [rad] least and largest angle from N_0 in which sections were seen; infinite of none.
+        middle: (n,) [rad] where they have the radius R, and change: (n,) [m/rad] c.
         count: number of looks that were taken in.
         anew: (n,) sections of which the last `strayed` has forgotten all looks.
     """
@@ -67,10 +71,9 @@ class SectionSmoother:
         self._systematic, self._turn, self._noisy_slant = systematic, turn, noisy_slant
         # where little is known, a step may lead out of what the linear model means
         self._reach = np.stack([LOOSE * distance] * 2 + [np.full(n, LARGEST_RADIUS)], axis=1)
-        # objects stand on tables, near where they were first seen
-        prior = [np.full(n, ACROSS_PRIOR), DEPTH_PRIOR * distance, np.full(n, RADIUS_PRIOR)]
-        self._prior = np.stack(prior, axis=1) ** -2.0
-        self._theta = self._at = np.zeros((n, 3))  # now, and where looks were linearised
+        self._prior = _prior(distance)
+        self._theta = self._at = np.zeros((n, 4))  # now, and where looks were linearised
+        self.middle = np.zeros(n)
         self._looks, self._told = Looks(n), 0  # of the first looks is known what they say; the others wait
         self._settled = Sums.prior(self._prior)  # of all but the latest looks
         self._settled_looks, self._repeats = 0, np.zeros(n)
@@ -79,6 +82,10 @@ class SectionSmoother:
         self._due = self._spread_due = self._repeats_due = 0.0  # number of looks
         self._spread: Spread | None = None
         self.count = 0
+
+    @property
+    def change(self) -> Array:
+        return self._theta[:, 3]
 
     def update(self, believed: Array, root: Array, normals: Array, sigma: Array) -> None:
         """Take in a look.
@@ -112,7 +119,9 @@ class SectionSmoother:
         n, (origin, frame, distance) = len(sigma), (values[rows] for values in self._sections)
         planes = self._smoothed_last(believed, normals @ believed[:3, :3].T, sigma)[rows]
         spread, theta = np.hypot(sigma, self._repeats)[rows], self._theta[rows]
-        X, O, r = missed(believed, six_columns(root), planes, spread, theta, origin, frame, distance)
+        X, O, r = missed(
+            believed, six_columns(root), planes, spread, theta, self.middle[rows], origin, frame, distance
+        )
         P = self._spread.covariance.reshape(n, 3, n, 3)[rows][:, :, rows]
         arc = np.maximum(self.last - self.first, 0.0)[rows]
         bend = np.abs(theta[:, 2]) * arc**3 / BENDS / (spread * distance)
@@ -170,7 +179,7 @@ class SectionSmoother:
         return self._step(self._linearise(max(self._looks.count - latest, 0)))
 
     def _is_stale(self) -> bool:
-        return self.count >= self._due or _moved(self._theta, self._at) > 0.5 * len(self._at)
+        return self.count >= self._due or moved(self._theta, self._at, MOVED) > 0.5 * len(self._at)
 
     def _linearise(self, first: int) -> Sums:
         """Linearise looks from the first on, and those that wait, anew: at what is known now. The sum of all."""
@@ -182,7 +191,12 @@ class SectionSmoother:
             self._tell(self._told, robust)
         first = min(first, self._told)
         if first == 0:
-            self._at = self._theta
+            self._at, self.middle = self._theta, arc_middle(self.first, self.last)
+            # an edge stays one: what has no radius does not get another
+            of_change = np.arange(len(self._at))
+            self._prior[of_change, of_change] = (
+                CHANGE_PRIOR * np.abs(self._theta[:, 2]) + LEAST_CHANGE
+            ) ** -2.0
             self._update_repeats()
         self._tell(first, robust)
         self._told = self._looks.count
@@ -213,22 +227,48 @@ class SectionSmoother:
         far, smooth = FAR if robust else np.inf, self._noisy_slant and first == 0
         origin, frame, distance = self._sections
         _tell(
-            self._looks.part(first), origin, frame, distance, self._theta, self._repeats, far, smooth,
+            self._looks.part(first), origin, frame, distance, self._theta, self.middle, self._repeats, far, smooth,
         )  # fmt: skip
 
     def _step(self, sums: Sums) -> Solution:
         """Solve normal equations, which are lost."""
+        n = len(self._theta)
         factor, failed = dpotrf(sums.matrix.T, lower=1, clean=0, overwrite_a=1)
         if failed:
             raise LinAlgError("the information on sections is not positive definite")
-        theta = dpotrs(factor, sums.right, lower=1)[0].reshape(-1, 3)
+        of_change, across, of_rest = factor[:n, :n], factor[n:, :n], factor[n:, n:]
+        half = dtrtrs(factor, sums.right, lower=1)[0]
+        theta = dtrtrs(of_rest, half[n:], lower=1, trans=1)[0].reshape(-1, 3)
         if self._spread is None or self.count >= self._spread_due:
-            root = dtrtri(factor, lower=1, overwrite_c=1)[0].T
-            self._spread = Spread(root, sums.blocks, self._sections[2])
+            root = dtrtri(of_rest, lower=1)[0].T
+            self._spread = Spread(
+                root, without_change(sums.blocks, self._prior.diagonal()[:n]), self._sections[2]
+            )
             self._spread_due = SPREAD_GROWTH * self.count
         solution = Solution(theta, self._spread)
-        self._theta = _within(solution.held_theta(self.fixed), self._reach)
+        held = within(solution.held_theta(self.fixed), self._reach)
+        change = dtrtrs(of_change, half[:n] - across.T @ held.ravel(), lower=1, trans=1)[0]
+        self._theta = np.concatenate([held, change[:, None]], axis=1)
         return solution
+
+
+def _prior(distance: Array) -> Array:
+    """Information (4 n, 4 n) before any look, on sections at distances (n,) [m].
+
+    Objects stand on tables, near where they were first seen; but first depths are wrong together, where poses were. If forty sections
+    were each sure of theirs, they would be six times as sure of the mean, and radii would have to make up for it.
+    """
+    n = len(distance)
+    depth = DEPTH_PRIOR**2 * np.eye(n) + TOGETHER**2
+    information, of_depth = np.zeros((4 * n, 4 * n)), n + 1 + 3 * np.arange(n)
+    information[np.ix_(of_depth, of_depth)] = np.linalg.inv(depth * distance[:, None] * distance)
+    for others, sigma in (
+        (slice(0, n), LEAST_CHANGE),
+        (slice(n, None, 3), ACROSS_PRIOR),
+        (slice(n + 2, None, 3), RADIUS_PRIOR),
+    ):
+        information[others, others] = np.eye(n) / sigma**2
+    return information
 
 
 @compiled
@@ -238,39 +278,18 @@ def _tell(
     frame: Array,
     distance: Array,
     theta: Array,
+    middle: Array,
     repeats: Array,
     far: float,
     smooth: bool,
 ) -> None:
-    """What looks say, linearised at theta (n, 3) and the poses that fit it best, of measured or smoothed slants."""
+    """What looks say, linearised at theta (n, 4) and the poses that fit it best, of measured or smoothed slants."""
     z, poses, planes = placed(
         rows.believed, rows.root, rows.normals, theta, rows.loss, rows.pull, rows.inverse
     )
     if smooth:
         planes = smoothed(poses, planes, rows.sigma, theta, origin, frame, FAR_SLANT)
     tell(
-        poses, z, planes, rows.root, rows.sigma, theta, origin, frame, distance, repeats, far,
+        poses, z, planes, rows.root, rows.sigma, theta, middle, origin, frame, distance, repeats, far,
         rows.blocks, rows.loss, rows.right, rows.pull, rows.inverse, rows.off,
     )  # fmt: skip
-
-
-@compiled
-def _moved(theta: Array, before: Array) -> int:
-    """How many sections have moved by more than MOVED since theta (n, 3) was `before`."""
-    count = 0
-    for i in range(len(theta)):
-        largest = 0.0
-        for j in range(3):
-            largest = max(largest, abs(theta[i, j] - before[i, j]))
-        count += largest > MOVED
-    return count
-
-
-@compiled
-def _within(theta: Array, reach: Array) -> Array:
-    """theta (n, 3), none of it larger than `reach` (n, 3)."""
-    out = np.empty(theta.shape)
-    for i in range(len(theta)):
-        for j in range(3):
-            out[i, j] = min(max(theta[i, j], -reach[i, j]), reach[i, j])
-    return out

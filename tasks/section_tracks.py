@@ -18,7 +18,7 @@ from extremal.tasks.features import Features, Radii, labelled
 from extremal.tasks.section_arcs import crossing, middles
 from extremal.tasks.section_references import references
 from extremal.tasks.section_smoother import SectionSmoother
-from extremal.tasks.section_solution import Sections
+from extremal.tasks.section_solution import Sections, Solution
 
 LEAST_TILT = (
     0.5  # sine of the angle between contour and epipolar line: what pose errors do to less is not linear
@@ -26,6 +26,7 @@ LEAST_TILT = (
 STEEPER = 1.2  # than that, where tracks start
 FIRST_BOOTSTRAP, BOOTSTRAP_GROWTH = 8, 1.2  # looks, and factor on their number
 SETTLED = 16  # looks
+FARTHEST = 3.5  # standard deviations by which references may shift all radii
 LEAST_REFERENCES = 5  # from which they tell how well sigma describes their errors
 MEDIAN_CHI2 = 0.4549  # of one degree of freedom
 
@@ -99,15 +100,16 @@ class SectionTracks:
             self._due = self._looks * BOOTSTRAP_GROWTH
             own, shared = solution.spread.shared()
             own = np.where(free.valid, own, np.inf)
-            self._smoother.fixed = references(free.radius, own, shared, self._contour)
+            found = references(free.radius, own, shared, self._contour)
+            self._smoother.fixed = found & (_shift(solution, found) < FARTHEST)
         fixed = self._smoother.fixed
         held, ratio = None, 1.0
         if fixed.any():
             held = solution.held(fixed)
             ratio = _birge_ratio(held, fixed)
-        best, first, last = held or free, self._smoother.first, self._smoother.last
+        best, smoother = held or free, self._smoother
         position, covariance, normal = middles(
-            self._origin, self._frame, first, last, self._normals[: self._looks],
+            self._origin, self._frame, smoother.middle, smoother.change, self._normals[: self._looks],
             best.theta, best.covariance, best.valid, ratio,
         )  # fmt: skip
         return labelled(
@@ -126,6 +128,16 @@ class SectionTracks:
 
     def _radii(self, found: Sections, ratio: float) -> Radii:
         return Radii(found.radius, np.hypot(ratio * found.sigma, self._drift))
+
+
+def _shift(solution: Solution, fixed: NDArray[np.bool_]) -> float:
+    """By how many standard deviations all radii move together where some are held at zero: most of the others tell."""
+    free, held = solution.free, solution.held(fixed)
+    rows = held.valid & ~fixed
+    if not rows.any():
+        return 0.0
+    learnt = np.sqrt(np.maximum(free.sigma[rows] ** 2 - held.sigma[rows] ** 2, 1e-12))
+    return float(np.median(np.abs(free.radius - held.radius)[rows] / learnt))
 
 
 def _birge_ratio(found: Sections, fixed: NDArray[np.bool_]) -> float:

@@ -16,6 +16,7 @@ from extremal.tasks.policies.navigation import best, by_parallax, pose_of, steer
 from extremal.tasks.policies.policy import Policy, RandomPolicy
 from extremal.tasks.spaces import POSE_TURN, REACH, SPEED, SeenFeatures
 
+BACK = 0.08  # [m] beyond the start, of ways back: R is known as the square of the arc
 AHEAD = 0.35  # [m] of the vase, at the start
 ASIDE = 0.08  # [m] of its axis from there, at most
 SHORT, LONG, SPEEDING = (
@@ -24,7 +25,7 @@ SHORT, LONG, SPEEDING = (
     0.6,
 )  # [m] of a glance and of a path that leaves nothing out; share of the largest speed
 NEAR_LEVEL, LEAST_LOOKS = 0.05, 5  # [m] of the grasp's height, within which contours count
-ENOUGH, AGAIN = 0.0007, 3  # [m] sigma of R that will do, and ways more that are gone for it
+ENOUGH, AGAIN = 0.0007, 2  # [m] sigma of R that will do, and ways more that are gone for it
 WORST = 0.03  # [m] sigma of R beyond which it says nothing
 MOST = 10  # beliefs that are passed on
 STEEPEST, LARGEST = 10.0, 0.12  # [1/m] of half a meridian's curvature; [m] of a radius: at most
@@ -41,8 +42,8 @@ class Grasper:
     Args:
         radius: (radius, sigma) [m] of (n,) rows: what is taken for the section's.
         step: [m] to whose multiples the vase's radius is rounded, and then taken for certain; None: it is not.
-        sweep: [m] how far it goes. again: how many times more it goes the same way, back and forth, while R is not well enough
-            known.
+        sweep: [m] how far it goes. again: how many ways more it goes while R is not well enough known: back, beyond where it
+            started, and forth.
     """
 
     def __init__(
@@ -64,11 +65,11 @@ class Grasper:
         if self._start is None:
             self._start = pose
         swept = float(self._start.inv().apply(pose.translation)[0])
-        if swept >= self._sweep if self._to > 0 else swept <= 0:
-            # new tracks may not tell yet what former ones did
-            self._known = beliefs = self._beliefs(observation) or self._known
-            if self._left == 0 or (beliefs and min(b.sigma_radius for b in beliefs) < ENOUGH):
-                return grasp_at(self._arm, beliefs, pose.translation, observation)
+        if swept >= self._sweep if self._to > 0 else swept <= -BACK:
+            # tracks may be lost on the way, and new ones not tell yet what former ones did
+            self._known = min(self._known, self._beliefs(observation), key=_least_sigma)
+            if self._left == 0 or _least_sigma(self._known) < ENOUGH:
+                return grasp_at(self._arm, self._known, pose.translation, observation)
             self._left, self._to = self._left - 1, -self._to
         # around the vase: to the camera's right, from where it is, and back
         velocity = self._to * SPEEDING * SPEED * pose.rotation.apply([1.0, 0.0, 0.0])
@@ -110,6 +111,11 @@ class Grasper:
             )
             for i in near[good[near]][:MOST]
         ]
+
+
+def _least_sigma(beliefs: list[ArcBelief]) -> float:
+    """[m] of a radius; infinite of none."""
+    return min((b.sigma_radius for b in beliefs), default=np.inf)
 
 
 def _plainest(contour: Array, significance: Array, rows: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -14,6 +14,8 @@ from extremal.tasks.section_slant import smoothed
 from extremal.tasks.section_solution import Solution, Spread
 
 LOOKS, N = 7, 11
+# of the unknowns s, q, R, c (N, 4): c of all sections first, then those of one after the other
+ORDER = np.concatenate([N + np.arange(3 * N).reshape(N, 3), np.arange(N)[:, None]], axis=1)
 
 
 class Case:
@@ -30,7 +32,8 @@ class Case:
         self.frame[:, 2] = np.cross(self.frame[:, 0], self.frame[:, 1])
         self.distance = np.linalg.norm(self.origin, axis=1)
         planes = self.frame[:, 0] + 0.3 * rng.normal(size=(LOOKS, N, 3))
-        self.theta, self.repeats = 0.01 * rng.normal(size=(N, 3)), 1e-3 * rng.random(N)
+        self.theta, self.repeats = 0.01 * rng.normal(size=(N, 4)), 1e-3 * rng.random(N)
+        self.middle = 0.2 * rng.normal(size=N)
         off = 1e-3 * rng.normal(size=(LOOKS, N))  # [rad] from planes through their circles' contact points
         for _ in range(20):
             planes /= np.linalg.norm(planes, axis=2, keepdims=True)
@@ -54,7 +57,8 @@ class Case:
         rows = self.looks.part(0)
         z, poses, planes = self.place(theta)
         tell(
-            poses, z, planes, rows.root, rows.sigma, theta, self.origin, self.frame, self.distance, self.repeats, far,
+            poses, z, planes, rows.root, rows.sigma, theta, self.middle, self.origin, self.frame, self.distance,
+            self.repeats, far,
             rows.blocks, rows.loss, rows.right, rows.pull, rows.inverse, rows.off,
         )  # fmt: skip
         return z
@@ -77,10 +81,14 @@ class Case:
         """From contact points to cameras (LOOKS, n, 3), and by how much (LOOKS, n) [m] planes n miss the cameras."""
         N0, T0 = self.frame[:, 0], self.frame[:, 1]
         a, b = np.sum(n * N0, axis=2), np.sum(n * T0, axis=2)
-        s, q, R = theta.T
-        lever, rho = pose[:, None, :3, 3] - self.origin, np.hypot(a, b)
-        contact = (s + R * (a / rho - 1))[..., None] * N0 + (q + R * b / rho)[..., None] * T0
-        return lever - contact, np.sum(n * lever, axis=2) - (a * s + b * q + (rho - a) * R)
+        s, q, R, c = theta.T
+        lever, rho, phi, m = pose[:, None, :3, 3] - self.origin, np.hypot(a, b), np.arctan2(b, a), self.middle
+        x, y = s + R * (a / rho - 1), q + R * b / rho
+        # the integral of (R + c (phi - m)) (-sin phi, cos phi), from 0
+        x = x + c * ((phi - m) * np.cos(phi) - np.sin(phi) + m)
+        y = y + c * ((phi - m) * np.sin(phi) + np.cos(phi) - 1)
+        contact = x[..., None] * N0 + y[..., None] * T0
+        return lever - contact, np.sum(n * (lever - contact), axis=2)
 
 
 @pytest.fixture
@@ -99,12 +107,12 @@ def test_rows_are_the_derivatives_of_angles(case: Case) -> None:
     step = 1e-6
 
     def derivative(k: int, of_pose: bool) -> Array:
-        dz, dtheta = np.zeros((LOOKS, 6)), np.zeros((N, 3))
+        dz, dtheta = np.zeros((LOOKS, 6)), np.zeros((N, 4))
         (dz if of_pose else dtheta)[:, k] = step * (1e3 if of_pose else 1)
         ahead, behind = case.angles(case.theta + dtheta, z, dz), case.angles(case.theta - dtheta, z, -dz)
         return (ahead - behind) / (2 * (dz if of_pose else dtheta)[0, k])
 
-    X = -weight[..., None] * np.stack([derivative(k, False) for k in range(3)], axis=2)
+    X = -weight[..., None] * np.stack([derivative(k, False) for k in range(4)], axis=2)
     O = -weight[..., None] * np.stack([derivative(k, True) for k in range(6)], axis=2)
     y = weight * case.angles(case.theta, z) + np.einsum("vik,ik->vi", X, case.theta)
     y += np.einsum("vik,vk->vi", O, z)
@@ -113,11 +121,14 @@ def test_rows_are_the_derivatives_of_angles(case: Case) -> None:
     for v in range(LOOKS):
         information = np.eye(6) + O[v].T @ O[v]
         W = np.eye(N) - O[v] @ np.linalg.solve(information, O[v].T)
-        full = np.einsum("ij,ia,jb->iajb", W, X[v], X[v]).reshape(3 * N, 3 * N)
-        own = np.einsum("ij,ia,jb->iajb", np.eye(N), X[v], X[v]).reshape(3 * N, 3 * N)
+        full = np.einsum("ij,ia,jb->iajb", W, X[v], X[v]).reshape(4 * N, 4 * N)
+        own = np.einsum("ij,ia,jb->iajb", np.eye(N), X[v], X[v]).reshape(4 * N, 4 * N)
         scale = np.abs(own).max()
-        np.testing.assert_allclose(own - rows.loss[v].T @ rows.loss[v], full, atol=1e-4 * scale)
-        right = np.einsum("ia,ij,j->ia", X[v], W, y[v]).ravel()
+        at = ORDER.ravel().argsort()  # where the unknowns of one section after the other stand
+        np.testing.assert_allclose(
+            (own[at][:, at] - rows.loss[v].T @ rows.loss[v]), full[at][:, at], atol=1e-4 * scale
+        )
+        right = np.einsum("ia,ij,j->ia", X[v], W, y[v]).ravel()[at]
         np.testing.assert_allclose(rows.right[v], right, atol=1e-3 * np.abs(right).max())
     theta = case.theta + 1e-3
     best = [
@@ -138,14 +149,22 @@ def test_misses_of_a_new_look_are_linear_in_what_is_not_known(case: Case) -> Non
     rows, v, spread = case.looks.part(0), 2, np.full(N, 1e-3)
     planes = case.normals[v] @ case.believed[v, :3, :3].T
     X, O, r = missed(
-        case.believed[v], case.root[v], planes, spread, case.theta, case.origin, case.frame, case.distance
+        case.believed[v],
+        case.root[v],
+        planes,
+        spread,
+        case.theta,
+        case.middle,
+        case.origin,
+        case.frame,
+        case.distance,
     )
     angles = case.angles(case.theta, np.zeros((LOOKS, 6)))
     np.testing.assert_allclose(r, angles[v] / spread, rtol=1e-9)
     seen = np.isfinite(case.sigma)
     np.testing.assert_allclose(rows.off, np.where(seen, angles, 0.0), rtol=1e-9, atol=1e-15)
     for k, step in ((0, 1e-6), (2, 1e-6)):
-        moved = case.theta + step * (np.arange(3) == k)
+        moved = case.theta + step * (np.arange(4) == k)
         change = (case.angles(moved, np.zeros((LOOKS, 6))) - angles)[v] / step
         np.testing.assert_allclose(-X[:, k] * spread, change, rtol=1e-3, atol=1e-4 * np.abs(change).max())
     for k in range(6):
@@ -182,7 +201,7 @@ def test_slants_are_smoothed_as_in_the_estimator(case: Case) -> None:
 def test_a_look_can_be_left_out(case: Case) -> None:
     """Sums without it are those of the others, and it is the one whose neighbours are nearest to each other."""
     case.tell(case.theta)
-    information = np.ones((N, 3))
+    information = np.eye(4 * N)
     sums, others = Sums.prior(information), Sums.prior(information)
     sums.add(case.looks.part(0))
     centres = case.believed[:, :3, 3]
@@ -194,7 +213,7 @@ def test_a_look_can_be_left_out(case: Case) -> None:
     assert case.looks.count == LOOKS - 1
     np.testing.assert_array_equal(case.looks.part(0).believed, np.delete(case.believed, i, axis=0))
     others.add(case.looks.part(0))
-    upper = np.triu_indices(3 * N)
+    upper = np.triu_indices(4 * N)
     scale = np.abs(others.matrix).max()
     np.testing.assert_allclose(sums.matrix[upper], others.matrix[upper], atol=1e-9 * scale)
     np.testing.assert_allclose(sums.right, others.right, atol=1e-9 * np.abs(others.right).max())
@@ -235,8 +254,9 @@ def test_middles_of_arcs(case: Case) -> None:
     views = np.count_nonzero(there.any(axis=2), axis=0)
     assert views.max() > 1
     spread, valid = np.tile(np.diag([1.0, 2.0, 3.0]), (N, 1, 1)), np.arange(N) > 0
+    case.middle[views > 0] = (first[views > 0] + last[views > 0]) / 2
     points, covariance, normals = middles(
-        case.origin, case.frame, first, last, there, case.theta, spread, valid, 2.0
+        case.origin, case.frame, case.middle, case.theta[:, 3], there, case.theta[:, :3], spread, valid, 2.0
     )
     for i in np.flatnonzero(views):
         angles = np.arctan2(*(there[there[:, i].any(axis=1), i] @ case.frame[i, 1::-1].T).T)
@@ -244,7 +264,14 @@ def test_middles_of_arcs(case: Case) -> None:
         phi = (angles.min() + angles.max()) / 2
         middle = np.cos(phi) * case.frame[i, 0] + np.sin(phi) * case.frame[i, 1]
         J = np.stack([*case.frame[i, :2], middle - case.frame[i, 0]])
-        np.testing.assert_allclose(points[i], case.origin[i] + case.theta[i] @ J, atol=1e-15)
+        # by the integral of the circle's and what is added to its radius
+        along = np.linspace(0, phi, 20_001)
+        tangent = np.cos(along)[:, None] * case.frame[i, 1] - np.sin(along)[:, None] * case.frame[i, 0]
+        radius = case.theta[i, 2] + case.theta[i, 3] * (along - phi)
+        there_by = np.trapezoid(radius[:, None] * tangent, along, axis=0)
+        np.testing.assert_allclose(
+            points[i], case.origin[i] + case.theta[i, :2] @ J[:2] + there_by, atol=1e-9
+        )
         wanted = 4 * J.T @ spread[i] @ J if valid[i] else np.full((3, 3), np.inf)
         np.testing.assert_allclose(covariance[i], wanted, atol=1e-12)
         assert normals[i] @ np.cross(middle, case.frame[i, 2]) == pytest.approx(0)

@@ -181,7 +181,7 @@ def test_without_fixed_features_sigma_is_that_of_the_absolute_estimate() -> None
     found = adjust(PLANAR.errors, [noise_free(PLANAR.scene, PLANAR.sigma)[0].take(first)])
     assert found.shapes[0].sigma_radius[0] == pytest.approx(expected, rel=1e-5)
     assert expected > 10 * joint_study.radius_bounds(PLANAR)[1]
-    rng, trials, z = np.random.default_rng(11), 300, []
+    rng, trials, z = np.random.default_rng(11), 120, []
     for _ in range(trials):
         seen = observe(PLANAR.scene, PLANAR.errors, PLANAR.sigma, rng)
         shape = adjust(seen.prior, [seen.features[0].take(first)]).shapes[0]
@@ -192,8 +192,8 @@ def test_without_fixed_features_sigma_is_that_of_the_absolute_estimate() -> None
 # Honesty.
 
 
-def test_planar_errors_are_what_sigma_says() -> None:
-    trials = 300
+@pytest.mark.parametrize("trials", [120, pytest.param(600, marks=pytest.mark.slow)])
+def test_planar_errors_are_what_sigma_says(trials: int) -> None:
     row = joint_row(PLANAR, planar_trials((1, 0, trials)))
     assert row.converged == 1
     assert row.nees == pytest.approx(1, abs=4 * np.sqrt(2 / trials))
@@ -202,7 +202,7 @@ def test_planar_errors_are_what_sigma_says() -> None:
     assert abs(row.bias_mm) < 4 * row.joint_mm / np.sqrt(trials)
 
 
-@pytest.mark.parametrize("case, trials", [(0, 60), (3, 60)])
+@pytest.mark.parametrize("case, trials", [(0, 60), pytest.param(3, 60, marks=pytest.mark.slow)])
 def test_errors_in_space_are_what_sigma_says(case: int, trials: int) -> None:
     """Six errors of every pose; then also a wrong hand-eye transform and a wrong focal length."""
     row = spatial_study.spatial_row(

@@ -1,6 +1,6 @@
 """Machine code for the loops of a step: a few dozen tracks are too few for numpy's calls to pay.
 
-It is made once, when the first environment is used (half a minute), and kept beside the modules. numba looks for changes of
+It is made once, when the first environment is used (a minute or two), and kept beside the modules. numba looks for changes of
 the file of a function alone, not of what it calls in others: here all is made anew when any of it has changed.
 """
 
@@ -48,7 +48,7 @@ def _renew() -> None:
         write_whole(_MADE_FROM, now)
     except OSError:
         return
-    print("extremal: compiling the loops of the tasks, once: about half a minute", file=sys.stderr)
+    print("extremal: compiling the loops of the tasks, once: a minute or two", file=sys.stderr)
 
 
 _renew()

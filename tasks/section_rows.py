@@ -8,7 +8,7 @@ With L L' = I + O'O and an orthonormal basis Q = O inv(L)' of what the pose can 
 normal equations is X'(y - Q Q'y), and z = inv(L)'(Q'y - G' theta) is the pose that fits theta best.
 
 Sections are no circles: their radius is R at phi = m, the middle of the arc that was seen, and changes by c in a radian. With the
-support h of a section, h + h'' is its radius (do Carmo, Differential Geometry of Curves and Surfaces, sec. 1-7, exercise 8), so that
+support h of a section, h + h'' is its radius (DESIGN, equation 1; `estimator.section`), so that
 
     f(phi) = phi - m + m cos phi - sin phi,    f(0) = f'(0) = 0
 

@@ -16,7 +16,6 @@ from extremal.tasks.policies.navigation import best, by_parallax, pose_of, steer
 from extremal.tasks.policies.policy import Policy, RandomPolicy
 from extremal.tasks.spaces import POSE_TURN, REACH, SPEED, SeenFeatures
 
-BACK = 0.08  # [m] beyond the start, of ways back: R is known as the square of the arc
 AHEAD = 0.35  # [m] of the vase, at the start
 ASIDE = 0.08  # [m] of its axis from there, at most
 SHORT, LONG, SPEEDING = (
@@ -26,6 +25,7 @@ SHORT, LONG, SPEEDING = (
 )  # [m] of a glance and of a path that leaves nothing out; share of the largest speed
 NEAR_LEVEL, LEAST_LOOKS = 0.05, 5  # [m] of the grasp's height, within which contours count
 ENOUGH, AGAIN = 0.0007, 2  # [m] sigma of R that will do, and ways more that are gone for it
+BACK = 0.08  # [m] beyond the start, of ways back: R is known as the square of the arc that was seen
 WORST = 0.03  # [m] sigma of R beyond which it says nothing
 MOST = 10  # beliefs that are passed on
 STEEPEST, LARGEST = 10.0, 0.12  # [1/m] of half a meridian's curvature; [m] of a radius: at most

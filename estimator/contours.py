@@ -63,6 +63,11 @@ class Contours:
         """Standard deviation [px] of the curves across themselves at u (interpolated between edgels)."""
         return np.interp(u, self.u, self.sigma)
 
+    def nearest_edgel(self, u: Array) -> np.ndarray:
+        """Number of the edgel whose parameter is nearest to each u."""
+        after = np.clip(np.searchsorted(self.u, u), 1, len(self.u) - 1)
+        return after - ((u - self.u[after - 1]) < (self.u[after] - u))
+
 
 def find_contours(image: np.ndarray, camera: Camera, ignored: np.ndarray | None = None) -> Contours:
     """All contours of an image (height, width[, 3]) uint8 that stand clear of its noise, outside `ignored` (height, width)."""

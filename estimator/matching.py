@@ -24,8 +24,7 @@ class EdgelMap:
         if len(contours.u) == 0:
             return
         u = np.arange(contours.u[0], contours.u[-1], 1.0)
-        nearest = np.clip(np.searchsorted(contours.u, u), 1, len(contours.u) - 1)
-        nearest -= (u - contours.u[nearest - 1]) < (contours.u[nearest] - u)
+        nearest = contours.nearest_edgel(u)
         within = contours.contour[nearest] == contours.splines.contour_of(u)
         u, nearest = u[within], nearest[within]
         x, y = np.rint(contours.splines.curve(u)).astype(np.intp).T
@@ -75,7 +74,7 @@ def _disc(reach: int) -> np.ndarray:
 @dataclass(frozen=True, eq=False)
 class Crossings:
     """Crossings (n) of contours with epipolar planes: pixels, directions (n, 3) in the world to their brighter sides,
-    rays, normals (n, 3) of the tangent planes, in-plane sigma [rad], limb, curvature."""
+    rays, normals (n, 3) of the tangent planes, in-plane sigma [rad], limb, curvature, contrast [grey levels]."""
 
     found: np.ndarray
     directions: Array
@@ -85,6 +84,7 @@ class Crossings:
     sigma: Array
     limb: Array
     curvature: Array
+    contrast: Array
 
 
 def cross(
@@ -111,7 +111,15 @@ def cross(
         nothing = np.zeros(n)
         blank = np.zeros((n, 3))
         return Crossings(
-            nothing > 0, blank, blank[:, :2], blank + 1.0, blank, nothing + np.inf, nothing, nothing
+            nothing > 0,
+            blank,
+            blank[:, :2],
+            blank + 1.0,
+            blank,
+            nothing + np.inf,
+            nothing,
+            nothing,
+            nothing,
         )
     index = np.maximum(index, 0)
     contour = contours.contour[index]
@@ -138,7 +146,7 @@ def cross(
     found &= np.sum(wanted * normal, axis=1) > ALIKE * np.linalg.norm(wanted, axis=1)
     found &= np.abs(u - start) < 4 * edgels.reach
     sigma = np.where(loose, loose_sigma(sequence, view), sigma)
-    nearest = np.clip(np.searchsorted(contours.u, u), 0, len(contours.u) - 1)
+    nearest = contours.nearest_edgel(u)
     directions = normal @ sequence.rotations[view][:, :2].T
     return Crossings(
         found,
@@ -149,6 +157,7 @@ def cross(
         np.where(found, sigma, np.inf),
         contours.limb[nearest],
         curvature,
+        contours.contrast[nearest],
     )
 
 

@@ -145,14 +145,20 @@ class SequentialShape:
                 total = np.hypot(sigma[:, i], pose_sigma)
                 self._circles.update(tracks.seen[chosen, i], view.centre, rays[:, i], total, sections.origin)
             slid = _slid(tracks.curvature[chosen, i], pose_sigma * view.camera.fx) / view.camera.fx
-            self._absorb(view, sections.normals[:, 0, i], np.hypot(sections.sigma[:, 0, i], slid))
+            self._absorb(
+                view,
+                sections.normals[:, 0, i],
+                np.hypot(sections.sigma[:, 0, i], slid),
+                tracks.contrast[chosen, i],
+            )
         tangents = tracks.tangents[chosen]
         bright = np.stack([tangents[:, 1], -tangents[:, 0]], axis=1)
         self._direction = bright @ sequence.rotations[middle][:, :2].T
         self.started, self._waiting = True, []
 
-    def _absorb(self, view: View, normals: Array, sigma: Array) -> np.ndarray:
-        """Take in tangent planes of a view, and say which (n,) are of other contours, by what is known: of none, here."""
+    def _absorb(self, view: View, normals: Array, sigma: Array, contrast: Array) -> np.ndarray:
+        """Take in tangent planes of a view, and say which (n,) are of other contours, by what is known of them and of their contrast
+        [grey levels]: of none, here."""
         self._views += np.isfinite(sigma)
         self._filter.update(view.T_world_camera, pose_root(view.pose_covariance), normals, sigma)
         return np.zeros(len(sigma), bool)
@@ -177,7 +183,8 @@ class SequentialShape:
         told = ok & (np.abs(tilt) > PARALLEL)
         slid = _slid(found.curvature, pose_sigma * view.camera.fx) / view.camera.fx
         turned = np.hypot(np.where(told, found.sigma, 1.0) * np.abs(tilt), slid)
-        ok &= ~self._absorb(view, normals @ sequence.rotations[0], np.where(told, turned, np.inf))
+        sigma_told = np.where(told, turned, np.inf)
+        ok &= ~self._absorb(view, normals @ sequence.rotations[0], sigma_told, found.contrast)
         self._circles.update(ok, view.centre, found.rays, sigma, points)
         self._direction = np.where(ok[:, None], found.directions, self._direction)
         self._pixels = np.where(ok[:, None], found.pixels, self._pixels)

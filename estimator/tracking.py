@@ -46,7 +46,8 @@ class Tracks:
         pixels: (n, V, 2) the contour's crossing with the epipolar plane [px]; the prediction where not seen.
         rays: (n, V, 3) world rays through them. sigma: (n, V) [rad] of their angle in the epipolar plane; infinite
             where not seen.
-        limb: (n, V) photometric evidence of a limb, curvature: (n, V) [1/px] of the contour, as in Contours.
+        limb: (n, V) photometric evidence of a limb, curvature: (n, V) [1/px] of the contour, contrast: (n, V) [grey levels],
+            as in Contours.
     """
 
     reference: int
@@ -61,6 +62,7 @@ class Tracks:
     sigma: Array
     limb: Array
     curvature: Array
+    contrast: Array
 
 
 def track(
@@ -93,6 +95,7 @@ def track(
             sigma,
             edgels.limb[chosen],
             edgels.curvature[chosen],
+            edgels.contrast[chosen],
         )
     ]
     order = [reference, *sequence.neighbours(reference)]
@@ -132,6 +135,7 @@ def track(
         stacked["sigma"],
         stacked["limb"],
         stacked["curvature"],
+        stacked["contrast"],
     )
 
 
@@ -194,4 +198,5 @@ def _where_seen(
         np.where(ok, crossing.sigma, np.inf),
         np.where(ok, crossing.limb, 0.0),
         np.where(ok, crossing.curvature, 0.0),
+        np.where(ok, crossing.contrast, 0.0),
     )

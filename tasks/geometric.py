@@ -13,6 +13,7 @@ from extremal.estimator.errors import InvalidInput
 from extremal.estimator.sequential import ROUGH
 from extremal.estimator.threads import blas_threads, one_blas_thread
 from extremal.scenes import Scene
+from extremal.tasks.company import in_company
 from extremal.tasks.contacts import Contacts, EdgeGeometry
 from extremal.tasks.edge_choice import choose
 from extremal.tasks.edge_model import EdgeModel
@@ -165,9 +166,13 @@ class _Tracks:
         contacts, camera, pixels = self._contacts, self._camera, self._camera.distort(ideal)
         self._update_hidden(look.actual[:3, 3])
         error, found = self._errors(line)
+        beside = in_company(
+            pixels, contacts.normals, look.actual, (camera.fx, camera.fy), self._sections.contour,
+            contacts.there & ~self._hidden,
+        )  # fmt: skip
         normals, sigma, shift = sighted(
             away, contacts.normals, self._plane, self._travel, look.actual, look.believed, (camera.fx, camera.fy), error,
-            self._noise, pixels, contacts.there, self._hidden, found, (camera.width, camera.height),
+            self._noise, pixels, contacts.there, self._hidden, found & ~beside, (camera.width, camera.height),
         )  # fmt: skip
         return _Seen(normals, sigma, pixels, shift)
 

@@ -116,7 +116,9 @@ class Question:
         place = contact_from(
             tuple(eye.tolist()), (weight @ seen.position[rows])[None], in_plane[None], np.array([abs(R)])
         )[0]
-        spread = float(np.sqrt((np.abs(weight) @ seen.sigma[rows]) ** 2 + (ROUND * R) ** 2 + LEAST_SIGMA**2))
+        # errors of poses are alike in all features, others are each one's own: the greater sum is near the truth
+        each = weight * seen.sigma[rows]
+        spread = math.sqrt(max(each.sum() ** 2, each @ each) + (ROUND * R) ** 2 + LEAST_SIGMA**2)
         return Answer(probability_extremal(abs(R), spread), abs(R), spread, place)
 
     def _chosen(self, seen: Tracked) -> NDArray[np.integer] | None:

@@ -17,6 +17,7 @@ from extremal.scenes.grids import MEASURED, QUICK
 from extremal.sim import FrameRenderer, Quality, Sensor, scene_model
 from extremal.sim.quality import get_quality
 from extremal.sim.window import cropped
+from extremal.tasks.edge_contrasts import EdgeContrasts
 from extremal.tasks.edge_model import PREVIEW, EdgeModel
 from extremal.tasks.features import Features
 from extremal.tasks.section_tracks import LEAST_TILT, STEEPER, SectionTracks
@@ -164,7 +165,7 @@ class _Tracks(SequentialShape):
             setattr(self, name, getattr(self, name)[rows])
         self._rows = np.arange(len(rows))
 
-    def _absorb(self, view: View, normals: Array, sigma: Array) -> np.ndarray:
+    def _absorb(self, view: View, normals: Array, sigma: Array, contrast: Array) -> np.ndarray:
         """Of the contour points a few, whose errors are their own, in place of all in a `ContourFilter`."""
         pose = view.T_world_camera.as_matrix()
         if self._sections is None:
@@ -182,11 +183,17 @@ class _Tracks(SequentialShape):
                 noisy_slant=True,
                 may_stray=True,
             )
+            self._contrasts = EdgeContrasts(len(origin))
         root = self._root.of(view.pose_covariance)
         # the pipeline does not know how coarsely a frame was sampled
         sigma = np.maximum(sigma[self._rows], self._least / view.camera.fx)
+        changed = self._contrasts.changed(
+            np.where(np.isfinite(sigma), contrast[self._rows], np.nan), self._sections.fixed
+        )
         strayed = np.zeros(len(normals), bool)
-        strayed[self._rows] = self._sections.take_in(pose, root, normals[self._rows], sigma)
+        strayed[self._rows] = changed | self._sections.take_in(
+            pose, root, normals[self._rows], np.where(changed, np.inf, sigma)
+        )
         return strayed
 
     def features(self) -> Features:

@@ -27,12 +27,18 @@ STEEPER = 1.2  # than that, where tracks start
 FIRST_BOOTSTRAP, BOOTSTRAP_GROWTH = 8, 1.2  # looks, and factor on their number
 SETTLED = 16  # looks
 FARTHEST = 3.5  # standard deviations by which references may shift all radii
+KNOWN = 0.01  # [m] sigma of a radius that is not distinguished from zero, from which it is called fixed
 LEAST_REFERENCES = 5  # from which they tell how well sigma describes their errors
 MEDIAN_CHI2 = 0.4549  # of one degree of freedom
 
 
 class SectionTracks:
-    """n sections that are followed, whose references are bootstrapped as looks come in."""
+    """n sections that are followed, whose references are bootstrapped as looks come in.
+
+    Attributes:
+        contour: (n,) image contour of each, in order along it.
+        visible: (n,) whether it was seen in the last look.
+    """
 
     def __init__(
         self,
@@ -55,7 +61,7 @@ class SectionTracks:
         self._smoother = SectionSmoother(
             origin, frame, distance, edges.bias_px / focal, edges.bias_turn, noisy_slant
         )
-        self._origin, self._frame, self._contour = origin, np.ascontiguousarray(frame), contour
+        self._origin, self._frame, self.contour = origin, np.ascontiguousarray(frame), contour
         self._drift, self._may_stray = DRIFT * distance / focal, may_stray
         self._looks, self._due = 0, float(FIRST_BOOTSTRAP)
         self._next, self._told = 0, Features.empty()
@@ -73,7 +79,7 @@ class SectionTracks:
         there = self._normals[self._looks]
         strayed = np.zeros(len(sigma), bool)
         if self._may_stray:
-            strayed = self._smoother.strayed(believed, root, normals, sigma, self._contour)
+            strayed = self._smoother.strayed(believed, root, normals, sigma, self.contour)
             sigma = np.where(strayed, np.inf, sigma)
             self._normals[: self._looks, self._smoother.anew] = 0.0
             self._views[self._smoother.anew] = 0
@@ -83,6 +89,14 @@ class SectionTracks:
         self.visible = seen
         self._looks += 1
         return strayed
+
+    @property
+    def fixed(self) -> NDArray[np.bool_]:
+        """(n,) sections that are known well enough to be no extremal boundaries of objects as large as are looked for."""
+        told = self._told
+        if len(told) == 0:
+            return np.zeros(len(self._origin), bool)
+        return told.reference | ((told.best_sigma < KNOWN) & ~told.extremal)
 
     def features(self, pixels: Array) -> Features:
         """What is known; pixels (n, 2) where tracks were last seen. Of more than SETTLED looks, every second one brings new estimates."""
@@ -100,7 +114,7 @@ class SectionTracks:
             self._due = self._looks * BOOTSTRAP_GROWTH
             own, shared = solution.spread.shared()
             own = np.where(free.valid, own, np.inf)
-            found = references(free.radius, own, shared, self._contour)
+            found = references(free.radius, own, shared, self.contour)
             self._smoother.fixed = found & (_shift(solution, found) < FARTHEST)
         fixed = self._smoother.fixed
         held, ratio = None, 1.0
@@ -120,7 +134,7 @@ class SectionTracks:
             normal,
             self._frame[:, 2],
             fixed.copy(),
-            self._contour,
+            self.contour,
             pixels,
             self.visible,
             self._views,

@@ -75,13 +75,19 @@ class TrackSets(Generic[S]):
         if self._next is not None:
             self._next.take_in(look)
             if self._next.started:
-                self._past, self._told = self._told.left(), self._next.features()
-                self._current, self._next, self._origin = self._next, None, centre
+                self._take_over(self._next, centre)
         elif self._current.started and self._worn_out(centre):
             self._next = self._begin()
             self._next.take_in(look)
         self._features = self._told.and_then(self._past)
         return self._features
+
+    def _take_over(self, tracks: Tracks[S], centre: Array) -> None:
+        """Let the next set take the place of the current one; without tracks, for want of contours, it makes room for another."""
+        self._next, told = None, tracks.features()
+        if len(told):
+            self._past, self._told = self._told.left(), told
+            self._current, self._origin = tracks, centre
 
     def _worn_out(self, centre: Array) -> bool:
         told = self._told

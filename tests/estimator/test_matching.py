@@ -33,6 +33,14 @@ def test_edgels_near_pixels(reach: int) -> None:
     assert np.all(found[inside & (distance < reach - 1.5)] >= 0)
 
 
+def test_parameters_have_a_nearest_edgel() -> None:
+    """By brute force; beyond the ends, those."""
+    contours = exact_contours(load_scene("sphere")["sphere"], cameras(3)[1])
+    u = np.random.default_rng(3).uniform(contours.u[0] - 9, contours.u[-1] + 9, 500)
+    apart = np.abs(u[:, None] - contours.u)
+    np.testing.assert_allclose(apart[np.arange(500), contours.nearest_edgel(u)], apart.min(axis=1))
+
+
 def matches(view: View, rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Contact points (n, 3) in the world and tangent planes' normals in the frame of a camera."""
     p = rng.uniform([-0.15, -0.1, 0.45], [0.15, 0.1, 0.65], (n, 3))

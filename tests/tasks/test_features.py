@@ -100,6 +100,21 @@ def test_sets_take_turns_when_sight_is_lost(monkeypatch: pytest.MonkeyPatch) -> 
     assert sizes == [8, 8, 16, 16]
 
 
+def test_a_set_without_tracks_takes_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    sets = TrackSets(Scripted, 1e-3)
+    for c in circling(0.1, 5):
+        sets.take_in(0, c)
+    old = Scripted.features
+    monkeypatch.setattr(
+        Scripted, "features", lambda self: some(8, 0.1) if self.looks > 5 else Features.empty()
+    )
+    sizes = [len(sets.take_in(0, c)) for c in circling(0.1, 7, 0.2)]
+    assert sizes == [8] * 7
+    monkeypatch.setattr(Scripted, "features", old)
+    sizes = [len(sets.take_in(0, c)) for c in circling(0.1, 3, 0.4)]
+    assert sizes[-1] == 16
+
+
 def test_looks_from_the_same_place_are_left_out() -> None:
     sets = TrackSets(Scripted, 0.01)
     here = np.array([1.0, 0, 0])

@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from extremal.estimator import Camera
 from extremal.estimator.camera import Array
 from extremal.sim import fixating
-from extremal.tasks.question import BEYOND, Question, Tracked, interpolating
+from extremal.tasks.question import BEYOND, LEAST_SIGMA, ROUND, Question, Tracked, interpolating
 
 CAMERA, FIXATION, R = Camera(), np.array([0.0, 0.0, 0.1]), 0.04
 EYE = np.array([-0.53, 0.02, 0.19])
@@ -101,6 +101,14 @@ def test_the_plane_of_the_question_holds_the_pixels_ray_and_is_level_across() ->
         level = np.cross(FIXATION - eye, [0.0, 0.0, 1.0])
         assert abs(asked.plane(eye) @ (FIXATION - eye)) < 1e-3
         assert abs(asked.plane(eye) @ level / np.linalg.norm(level)) < 0.02
+
+
+def test_sigma_is_that_of_errors_that_are_alike_or_of_each_its_own() -> None:
+    """Of equal sigma, interpolated with weights that add up to one."""
+    asked, _ = question()
+    found = asked.answer(EYE, told(EYE))
+    assert found is not None
+    assert found.sigma == pytest.approx(np.sqrt(0.001**2 + (ROUND * R) ** 2 + LEAST_SIGMA**2), rel=1e-3)
 
 
 def test_weights_interpolate_parabolas() -> None:

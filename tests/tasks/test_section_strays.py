@@ -6,6 +6,7 @@ import pytest
 from extremal.estimator.camera import Array
 from extremal.estimator.poses import pose_exp
 from extremal.estimator.sequential import _slid
+from extremal.tasks.edge_contrasts import EdgeContrasts
 from extremal.tasks.edge_model import PREVIEW
 from extremal.tasks.features import Features
 from extremal.tasks.section_misfit import LEAST_LOOKS, PIECES, repeated
@@ -47,10 +48,39 @@ def test_single_matches_and_whole_contours_go() -> None:
             assert np.sum(out & ~wrong) <= 2
 
 
+def test_contours_that_are_off_by_little_go_where_single_matches_stay() -> None:
+    """Alike by 3 standard deviations of an edge, where what is known of sections and poses leaves as little open."""
+    found = np.zeros((40, 2), bool)
+    for seed in range(40):
+        look = Look(seed)
+        look.covariance = 0.01 * look.covariance
+        off = 3.0 * (seed % 4 == CONTOUR)
+        noise = np.random.default_rng([7, seed]).standard_normal(M)
+        wrong = np.flatnonzero(off)
+        found[seed, 0] = np.all(look.strays(noise + off)[wrong])
+        found[seed, 1] = look.strays(noise + off * (np.arange(M) == wrong[0]))[wrong[0]]
+    assert found[:, 0].mean() > 0.9 and found[:, 1].mean() < 0.5
+
+
 def test_half_of_the_matches_stay_whatever_they_say() -> None:
     look = Look(0)
     out = look.strays(look.r + 100 * np.random.default_rng(1).normal(size=M))
     assert 0 < out.sum() <= 0.5 * M + 8  # by whole contours
+
+
+def test_fixed_edges_keep_their_contrast() -> None:
+    """Other ones are not taken in, until the edge is back; of limbs, and where light changes slowly, all is; NaN is not seen."""
+    known = EdgeContrasts(4)
+    fixed = np.array([True, True, True, False])
+    usual = np.array([50.0, -30.0, 80.0, 60.0])
+    assert not known.changed(np.where(np.arange(4) == 2, np.nan, usual), fixed).any()
+    for k in range(10):
+        seen = usual * [1.0, 1.0 + 0.02 * k, 1.0, 1.5]
+        np.testing.assert_array_equal(
+            known.changed(seen * [1.3, 1, 1, 1], fixed), [True, False, False, False]
+        )
+    assert not known.changed(usual * [1.0, 1.18, 1.0, 1.5], fixed).any()
+    np.testing.assert_array_equal(known.changed(-usual, fixed), [True, True, True, False])
 
 
 def test_misfits_and_errors_that_repeat() -> None:

@@ -37,8 +37,7 @@ ACROSS_PRIOR, DEPTH_PRIOR, RADIUS_PRIOR = 0.1, 0.06, 0.06  # sigma of s [m], q (
 TOGETHER = 0.2  # sigma of q that all have in common, share of the distance
 CHANGE_PRIOR, LEAST_CHANGE = 0.5, 0.001  # sigma of c, in R; and [m/rad]
 LARGEST_RADIUS = 0.3  # [m] at which looks are linearised
-JUDGING = 4  # looks, from which on others are judged by them: with caution, as long as they are EARLY
-CAUTION = 2.5  # times the chi^2 that is asked for
+JUDGING = 4  # looks, from which on others are judged by them: as long as they are EARLY, match by match
 BEFORE = 2  # looks in which a contour may have been another already
 BENDS = 24.0  # how far radii that change by themselves in a radian leave a circle: R arc^3 / BENDS
 ALIKE = 0.5  # standard deviations of errors of edges that are common to a contour
@@ -129,8 +128,8 @@ class SectionSmoother:
         # a turned camera that sees a contact point elsewhere than it is believed to be: of second order, and not small at first
         depth = np.sqrt(np.maximum(np.einsum("iaia->i", P), 0.0))
         common = np.hypot(ALIKE, np.sqrt(np.sum(root[3:] ** 2)) * depth / (spread * distance))
-        caution = 1.0 if self.count >= EARLY else CAUTION
-        out[rows] = strays(X, O, r, P, 1.0 + bend**2, common, contour[rows], caution)
+        judged = contour[rows] if self.count >= EARLY else np.arange(len(rows))
+        out[rows] = strays(X, O, r, P, 1.0 + bend**2, common, judged)
         self._looks.forget(out, BEFORE)
         self._refused += out
         if out.any():

@@ -25,21 +25,19 @@ def strays(
     variance: Array,
     common: Array,
     contour: NDArray[np.integer],
-    caution: float = 1.0,
 ) -> NDArray[np.bool_]:
     """Which (m,) of m matches are left out, worst first, until the others agree.
 
     Args:
         X: (m, 3), O: (m, K), r: (m,) as of `section_rows.missed`. covariance: (m, 3, m, 3) of the sections' theta.
         variance: (m,) of the noise. common: (m,) standard deviation of errors that are common to a contour; contour: (m,).
-        caution: times the chi^2 from which matches and contours are left out.
     """
     alike = contour[:, None] == contour
     B = np.einsum("ia,iajb,jb->ij", X, covariance, X, optimize=True) + O @ O.T
     G = np.linalg.inv(B + np.diag(variance) + common[:, None] * common * alike)
     left = np.arange(len(r))
     while len(left) > (1 - MOST) * len(r):
-        out = _worst(G, G @ r[left], contour[left], caution)
+        out = _worst(G, G @ r[left], contour[left])
         if len(out) == 0:
             break
         stay = np.setdiff1d(np.arange(len(left)), out)
@@ -51,9 +49,9 @@ def strays(
     return strayed
 
 
-def _worst(G: Array, told: Array, contour: NDArray[np.integer], caution: float) -> NDArray[np.integer]:
+def _worst(G: Array, told: Array, contour: NDArray[np.integer]) -> NDArray[np.integer]:
     """The set without which the others, of G (m, m) and G r (m,), agree best; empty where all do."""
-    single = told**2 / np.diagonal(G) - caution * ALONE
+    single = told**2 / np.diagonal(G) - ALONE
     worst = int(np.argmax(single))
     out, most = np.array([worst]), single[worst]
     for number in np.unique(contour):
@@ -61,7 +59,7 @@ def _worst(G: Array, told: Array, contour: NDArray[np.integer], caution: float) 
         if len(rows) > 1:
             U = np.stack([np.ones(len(rows)), np.linspace(-1.0, 1.0, len(rows))], axis=1)
             along = U.T @ told[rows]
-            gain = along @ np.linalg.solve(U.T @ G[np.ix_(rows, rows)] @ U, along) - caution * TOGETHER
+            gain = along @ np.linalg.solve(U.T @ G[np.ix_(rows, rows)] @ U, along) - TOGETHER
             if gain > most:
                 out, most = rows, gain
     return out if most > 0 else np.zeros(0, int)

@@ -27,7 +27,7 @@ STEEPER = 1.2  # than that, where tracks start
 FIRST_BOOTSTRAP, BOOTSTRAP_GROWTH = 8, 1.2  # looks, and factor on their number
 SETTLED = 16  # looks
 FARTHEST = 3.5  # standard deviations by which references may shift all radii
-KNOWN = 0.01  # [m] sigma of a radius that is not distinguished from zero, from which it is called fixed
+KNOWN = 0.01  # [m] sigma of a radius from which a section that is not told from a fixed one is taken for one
 LEAST_REFERENCES = 5  # from which they tell how well sigma describes their errors
 MEDIAN_CHI2 = 0.4549  # of one degree of freedom
 
@@ -92,7 +92,7 @@ class SectionTracks:
 
     @property
     def fixed(self) -> NDArray[np.bool_]:
-        """(n,) sections that are known well enough to be no extremal boundaries of objects as large as are looked for."""
+        """(n,) references, and sections whose radius is known within KNOWN and not told from zero, as of the last features."""
         told = self._told
         if len(told) == 0:
             return np.zeros(len(self._origin), bool)

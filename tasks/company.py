@@ -28,7 +28,7 @@ def in_company(
 
     Args:
         pixels: (n, 2) of tracks, in order along their contours (n,). normals: (n, 3) of the tangent planes, in the world.
-        pose: (4, 4) of the camera. focal: [px]. there: (n,) which are in the image, hidden by nothing.
+        pose: (4, 4) of the camera. focal: [px]. there: (n,) which the scene has, hidden by nothing.
     """
     n = len(pixels)
     out = np.zeros(n, np.bool_)

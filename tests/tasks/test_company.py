@@ -15,7 +15,7 @@ STEP = 20.0  # [px] between tracks
 
 
 def lines(rng: np.random.Generator) -> tuple[Array, Array, np.ndarray]:
-    """Pixels (n, 2) and unit normals (n, 2) of tracks on three or four lines of random direction, and the line (n,) of each."""
+    """Pixels (n, 2) and unit normals (n, 2) of tracks on four lines, some of them parallel, and the line (n,) of each."""
     turn = rng.uniform(0, np.pi)
     pixels, normals, line = [], [], []
     for k in range(4):
@@ -36,7 +36,7 @@ def tangent_planes(pixels: Array, normals: Array) -> Array:
 
 
 def test_as_in_images() -> None:
-    """Away from the ends of lines; images have an edgel every pixel, and where another line's is nearest it counts as its own."""
+    """Away from the ends of lines; images have an edgel every pixel. Where lines cross, which edgel is nearest may differ."""
     rng, alike, both = np.random.default_rng(0), 0, np.zeros(2, int)
     for _ in range(60):
         pixels, normals, line = lines(rng)

@@ -86,8 +86,10 @@ class RenderedSensor:
         self._looks += 1
         if not self._sets.is_new(centre):
             return self._sets.features
-        seen = self._seen(RigidTransform(believed, normalize=False), pose_covariance)
-        return self._sets.take_in(seen, centre)
+        # threads that wait for more matrices would keep the renderer from its cores
+        with one_blas_thread():
+            seen = self._seen(RigidTransform(believed, normalize=False), pose_covariance)
+            return self._sets.take_in(seen, centre)
 
     def _seen(self, believed: RigidTransform, pose_covariance: Array) -> _Look:
         """The frame; where no tracks have yet to start, only what is near to those that are followed."""
@@ -138,10 +140,9 @@ class _Tracks(SequentialShape):
 
     def take_in(self, look: _Look) -> None:
         if self.started:
-            with one_blas_thread():
-                self._pixels = self._pixels - look.corner
-                self._follow(look.view, look.contours)
-                self._pixels = self._pixels + look.corner
+            self._pixels = self._pixels - look.corner
+            self._follow(look.view, look.contours)
+            self._pixels = self._pixels + look.corner
         elif look.whole:  # what other tracks are near to is no place to look for new ones
             self._baseline = first_baseline(look.view.pose_covariance)
             self.update(look.view, look.contours)

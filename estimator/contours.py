@@ -195,10 +195,11 @@ def _through_edgels(
     spacing = np.clip(BEND_SPACING * radius**0.75, 1.5 * ROWS, SPACING)
     t = knots(u, contour, breaks, spacing, np.bincount(contour) - 3, 1.5 * ROWS)
     weights = 1 / sigma
-    at, _, normal, _ = fit(u, positions, weights, t, breaks).splines.frame(u)
+    found = fit(u, positions, weights, t, breaks)
+    at, _, normal, _ = found.splines.frame(u)
     misfit = np.abs(np.sum((positions - at) * normal, axis=1)) / sigma
     weights = np.minimum(1.0, HUBER / np.maximum(misfit, 1e-9)) / sigma
-    found = fit(u, positions, weights, t, breaks)
+    found = found.again(positions, weights)
     splines, variance = found.splines, found.variance()
     at, _, normal, _ = splines.frame(u)
     misfit = (np.sum((positions - at) * normal, axis=1) * weights) ** 2

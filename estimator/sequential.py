@@ -248,7 +248,7 @@ def in_step(ok: np.ndarray, view: View, points: Array, normals: Array) -> np.nda
     if len(rows) < LEAST_IN_STEP:
         return ok
     normals = normals[rows]
-    p = (points[rows] - view.centre) @ view.T_world_camera.rotation.as_matrix()
+    p = (points[rows] - view.centre) @ view.T_world_camera.as_matrix()[:3, :3]
     distance = np.linalg.norm(p, axis=1)
     misses = np.sum(normals * p, axis=1) / distance
     A = (
@@ -258,13 +258,19 @@ def in_step(ok: np.ndarray, view: View, points: Array, normals: Array) -> np.nda
     )
     left, scale = misses, 0.0
     for _ in range(IN_STEP_ROUNDS):
-        scale = max(1.48 * float(np.median(np.abs(left))), LEAST_SPREAD / view.camera.fx)
+        scale = max(1.48 * _median(np.abs(left)), LEAST_SPREAD / view.camera.fx)
         weight = 1 / (scale * np.maximum(np.abs(left), scale))  # Huber's: of far ones, the sign counts
         weighted = A.T * weight
         left = misses - A @ np.linalg.solve(weighted @ A + np.eye(A.shape[1]), weighted @ misses)
     alike = np.zeros_like(ok)
     alike[rows] = np.abs(left) < LEAST_GATE / view.camera.fx + GATE * scale
     return alike
+
+
+def _median(values: Array) -> float:
+    """Of numbers (n,), as NumPy has it, in a tenth of the time for few."""
+    ordered, half = np.sort(values), len(values) // 2
+    return float(ordered[half] if len(values) % 2 else 0.5 * (ordered[half - 1] + ordered[half]))
 
 
 def in_company(contours: Contours, pixels: Array) -> np.ndarray:
@@ -289,5 +295,5 @@ def _slid(curvature: Array, pose_sigma: Array) -> Array:
 def _alone(view: View, travel: Array) -> Sequence3D:
     """One view as a sequence with the travel of those before it."""
     variance = np.diagonal(view.pose_covariance).reshape(1, 2, 3).mean(axis=2)
-    rotation = view.T_world_camera.rotation.as_matrix()
+    rotation = view.T_world_camera.as_matrix()[:3, :3]
     return Sequence3D((view.camera,), rotation[None], view.centre[None], travel, *np.sqrt(variance).T)

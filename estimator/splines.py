@@ -79,6 +79,12 @@ class Fit:
     values: Array
     column: np.ndarray
 
+    def again(self, positions: Array, weights: Array) -> "Fit":
+        """The same fit to other positions (n, 2), with other weights (n,)."""
+        return _fitted(
+            self.values, self.column, positions, weights, self.splines.curve.t, self.splines.breaks
+        )
+
     def variance(self) -> Array:
         """Variance (n,) of the curve across itself at the data: |L^-1 b|^2 of the basis functions b there."""
         n, count = len(self.column), self.factor.shape[1]
@@ -95,8 +101,13 @@ def fit(u: Array, positions: Array, weights: Array, t: Array, breaks: Array) -> 
 
     weights (n,) are 1 / sigma across the contour. A trace of smoothness decides where the data leave a coefficient open.
     """
+    return _fitted(*_basis(u, t), positions, weights, t, breaks)
+
+
+def _fitted(
+    values: Array, column: np.ndarray, positions: Array, weights: Array, t: Array, breaks: Array
+) -> Fit:
     count = len(t) - DEGREE - 1
-    values, column = _basis(u, t)
     weighted = values * weights[:, None] ** 2
     banded = np.zeros((DEGREE + 1, count))
     right = np.zeros((count, 2))

@@ -10,9 +10,9 @@ import numpy as np
 
 from extremal.estimator import osculating_circle
 from extremal.scenes import Ellipsoid, Lathe, Sphere, Surface, load_scene, randomised
-from extremal.scripts.coverage import Coverage, track_coverage
 from extremal.scripts.look import LookSettings, take_look
 from extremal.scripts.scoring import Scored
+from extremal.scripts.track_coverage import Coverage, track_coverage
 
 Experiment = Literal["metric", "book"]
 EXPERIMENTS: tuple[Experiment, ...] = ("metric", "book")

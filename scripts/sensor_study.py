@@ -9,10 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from rich.console import Console
 
 from extremal.estimator import Camera, Contours, find_contours
 from extremal.estimator.camera import Array
 from extremal.scenes import Scene, load_scene, randomised
+from extremal.scripts.progress import bar, progress_bars
 from extremal.sim import FrameRenderer, LinearMotion, Sensor, scene_model
 from extremal.tasks.contacts import Contacts, EdgeGeometry
 from extremal.tasks.edge_choice import choose
@@ -22,6 +24,7 @@ MOTION = LinearMotion(views=25, baseline=0.3, distance=0.55)
 MATCHED = 2.5  # [px] beyond which an edgel belongs to no true edge
 ALIKE = np.cos(np.deg2rad(20.0))
 FALSE = 6.0  # robust standard deviations from which another edge was taken
+VASES = 20  # that are looked at, unless told otherwise
 LEAST_FOUND = 0.5  # of the views: edges that are found less often have too little contrast to be tracked
 LONGEST_TURN = 0.2  # [rad] over which a bias is taken to stay the same: a third of the arc that is seen
 FARTHEST_LAG = 8  # views between which biases are compared
@@ -166,7 +169,10 @@ def _taken(errors: EdgeErrors, rows: np.ndarray) -> EdgeErrors:
 
 def main() -> None:
     """Print the model; the number of random vases is the first argument."""
-    print(sensor_study(int(sys.argv[1]) if len(sys.argv) > 1 else 6))
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else VASES
+    with progress_bars(Console(stderr=True)) as progress:
+        found = sensor_study(seeds, progress=bar(progress, "scenes"))
+    print(found)
 
 
 if __name__ == "__main__":

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.spatial.transform import RigidTransform
 
-from extremal.estimator.camera import Camera
+from extremal.estimator.camera import Array, Camera
 from extremal.estimator.errors import InvalidInput, RenderingError
-from extremal.sim.axes import swap_camera_axes
+from extremal.sim.axes import MUJOCO_AXES
 from extremal.sim.backdrop import Backdrop
 from extremal.sim.buffers import SAMPLES, drawing_context, thread_context
 from extremal.sim.gl import select_backend
@@ -134,9 +134,10 @@ class FrameRenderer:
         """
         if self._stage is None:
             raise RenderingError("the renderer is closed; use it in a `with` statement")
-        shape = T_world_camera.as_matrix().shape[:-2]
+        matrices = T_world_camera.as_matrix()
+        shape = matrices.shape[:-2]
         # MuJoCo renders from a camera that is not finite, in single precision, without an error: black
-        if len(shape) > 1 or 0 in shape or not np.all(np.abs(T_world_camera.as_matrix()) < FARTHEST):
+        if len(shape) > 1 or 0 in shape or not np.all(np.abs(matrices) < FARTHEST):
             raise InvalidInput(
                 f"T_world_camera of shape {shape} must be one finite transform, or a row of them, less than {FARTHEST:g} m away"
             )
@@ -144,7 +145,7 @@ class FrameRenderer:
         if weights.shape != (3,) or not np.all((weights > 0) & np.isfinite(weights)):
             raise InvalidInput(f"gains are {weights.tolist()}; accepted: three positive numbers")
         self._stage.gl.make_current()
-        poses = [T_world_camera] if not shape else [T_world_camera[i] for i in range(len(T_world_camera))]
+        poses = matrices.reshape(-1, 4, 4)
         camera, s = part or self.camera, self.quality.supersampling
         window = Window.around(part, s) if part else self._window
         if np.any(np.array(window.shape) > self._window.shape):
@@ -166,10 +167,10 @@ class FrameRenderer:
         frame = (columns @ np.ascontiguousarray((rows @ total).T)).T
         return np.ascontiguousarray(frame / (3 * self.quality.passes * len(poses)), np.float32)
 
-    def _look_from(self, data: mujoco.MjData, T_world_camera: RigidTransform) -> None:
-        eye = swap_camera_axes(T_world_camera)
-        data.mocap_pos[0] = eye.translation
-        data.mocap_quat[0] = eye.rotation.as_quat(scalar_first=True)
+    def _look_from(self, data: mujoco.MjData, pose: Array) -> None:
+        """Put the eye where the camera is, at a pose (4, 4)."""
+        data.mocap_pos[0] = pose[:3, 3]
+        mujoco.mju_mat2Quat(data.mocap_quat[0], (pose[:3, :3] * MUJOCO_AXES).ravel())
         mujoco.mj_kinematics(self._model, data)
         mujoco.mj_camlight(self._model, data)
 

@@ -21,7 +21,7 @@ class EdgeModel:
     together, with the correlation exp(-turn / bias_turn) after the line of sight has turned.
 
     The defaults are what `scripts/sensor_study.py` fits to frames of quality `preview` (640 x 480, 2 grey levels of noise) of
-    random vases and boxes, an ellipsoid and a sphere, 25 irregular steps over 0.3 m at 0.55 m: nearest edgels of the pipeline
+    20 random vases and boxes, an ellipsoid and a sphere, 25 irregular steps over 0.3 m at 0.55 m: nearest edgels of the pipeline
     against exact contacts of tracks, false edges and dropouts counted, noise and bias of the median track by the covariance
     between its views. Most of the noise is the coarse sampling of that quality.
 
@@ -31,13 +31,13 @@ class EdgeModel:
         outlier_px: standard deviation of the offset of such an edge [px].
     """
 
-    sigma_px: float = 0.033
-    bias_px: float = 0.013
-    bias_turn: float = 0.1
-    dropout: float = 0.018
-    outlier: float = 0.032
-    outlier_px: float = 1.2
-    fixed_sigma_px: float = 0.06
+    sigma_px: float = 0.026
+    bias_px: float = 0.009
+    bias_turn: float = 0.2
+    dropout: float = 0.012
+    outlier: float = 0.017
+    outlier_px: float = 0.54
+    fixed_sigma_px: float = 0.066
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -38,7 +38,7 @@ APART = round(OVERLAP)  # edgels along a contour from which on errors are indepe
 NEAREST = 0.06  # [m] of depths: past an obstacle at the wanted clearance, tangents are as short
 MOST = 40  # tracks that are estimated
 
-AROUND = 48  # [px] about a track in which the frame is looked at: as far as neighbours help to judge an edge
+AROUND = 32  # [px] about a track in which the frame is looked at: as far as neighbours help to judge an edge
 GRID = 16  # [px] to which parts of frames are rounded
 
 

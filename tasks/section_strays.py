@@ -33,7 +33,8 @@ def strays(
         variance: (m,) of the noise. common: (m,) standard deviation of errors that are common to a contour; contour: (m,).
     """
     alike = contour[:, None] == contour
-    B = np.einsum("ia,iajb,jb->ij", X, covariance, X, optimize=True) + O @ O.T
+    spread = np.einsum("ijb,jb->ij", np.einsum("ia,iajb->ijb", X, covariance), X)
+    B = spread + O @ O.T
     G = np.linalg.inv(B + np.diag(variance) + common[:, None] * common * alike)
     left = np.arange(len(r))
     while len(left) > (1 - MOST) * len(r):

@@ -48,6 +48,18 @@ def test_circles(radius: float, reverse: bool) -> None:
     np.testing.assert_allclose(curvature[middle], (1 if reverse else -1) / radius, rtol=0.03)
 
 
+def test_a_fit_again_is_a_fit() -> None:
+    chains, rng = [circle(60.0), line(120.0)], np.random.default_rng(2)
+    positions, contour = np.concatenate(chains), np.repeat([0, 1], [len(c) for c in chains])
+    u, breaks = arc_length(positions, contour)
+    t = knots(u, contour, breaks, np.full(len(u), SPACING), np.bincount(contour) - 3, WIDEST)
+    weights, noisy = rng.uniform(1, 20, len(u)), positions + 0.1 * rng.standard_normal(positions.shape)
+    again = fit(u, positions, np.ones(len(u)), t, breaks).again(noisy, weights)
+    anew = fit(u, noisy, weights, t, breaks)
+    np.testing.assert_array_equal(again.splines.curve(u), anew.splines.curve(u))
+    np.testing.assert_array_equal(again.variance(), anew.variance())
+
+
 @pytest.mark.parametrize("angle", [0.0, 0.4, np.pi / 2, 3.0])
 def test_lines(angle: float) -> None:
     points = line(150.0, angle)

@@ -1,13 +1,20 @@
 """The rendered sensor: frames, few looks, and agreement with the geometric one on the same path."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_limits
 
-from extremal.estimator import Camera, InvalidInput
+from extremal.estimator import Camera, Contours, InvalidInput, find_contours
 from extremal.estimator.camera import Array
 from extremal.estimator.poses import pose_exp
+from extremal.estimator.threads import blas_threads
 from extremal.scenes import Scene, load_scene, randomised
+from extremal.scripts.sensor_study import sensor_study
 from extremal.sim import LinearMotion
+from extremal.tasks import rendered
+from extremal.tasks.edge_model import EdgeModel
 from extremal.tasks.features import Features, FeatureSensor
 from extremal.tasks.geometric import GeometricSensor
 from extremal.tasks.rendered import RenderedSensor
@@ -76,6 +83,31 @@ def test_few_looks_and_no_looks() -> None:
     sensor.close()
     sensor.close()
     assert sensor.frame is None
+
+
+def test_no_idle_thread_takes_the_renderers_cores(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Threads of a BLAS wait for work by spinning: of each look, from frame to features, there is one."""
+    threads: list[int] = []
+
+    def counted(*arguments: Any) -> Contours:
+        threads.append(blas_threads())
+        return find_contours(*arguments)
+
+    monkeypatch.setattr(rendered, "find_contours", counted)
+    sensor = RenderedSensor()
+    with threadpool_limits(2, user_api="blas"):
+        told(sensor, load_scene("sphere"), SMALL, 1, 0.0, 3)
+        assert threads == [1, 1, 1] and blas_threads() == 2
+    sensor.close()
+
+
+@pytest.mark.slow
+def test_the_edge_model_is_that_of_the_pipeline() -> None:
+    """Four of the vases that it was fitted to, looked at anew: what a change of the pipeline does to its edges shows here."""
+    found, model = sensor_study(4), EdgeModel()
+    for name in ("sigma_px", "fixed_sigma_px"):
+        assert getattr(found, name) == pytest.approx(getattr(model, name), rel=0.3)
+    assert found.bias_px < 0.5 * found.sigma_px and found.dropout < 0.03 and found.outlier < 0.03
 
 
 def of_vase(scene: Scene, features: Features) -> tuple[Array, Array]:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from extremal.scripts.coverage import track_coverage
+from extremal.scripts.track_coverage import track_coverage
 
 if TYPE_CHECKING:
     from conftest import Taken

@@ -57,6 +57,11 @@ class EdgeModel:
         kept = math.exp(-turn / self.bias_turn)
         return kept * bias + (self.bias_px * math.sqrt(1 - kept * kept)) * rng.standard_normal(len(bias))
 
+    @property
+    def either_px(self) -> float:
+        """Standard deviation [px] of the noise of an edge that may be a limb or fixed, which no sensor knows."""
+        return math.hypot(self.sigma_px, self.fixed_sigma_px) / math.sqrt(2)
+
     def noise(self, fixed: NDArray[np.bool_]) -> Array:
         """Standard deviations (n,) [px] of edges that are `fixed` or not."""
         return np.where(fixed, self.fixed_sigma_px, self.sigma_px)

@@ -49,13 +49,13 @@ class NavigateEnv(ActiveVisionEnv[NavigateSetup]):
     | `pose` | (7,) | camera: position [m], unit quaternion x, y, z, w |
     | `goal` | (3,) | [m] |
     | `time` | (1,) | share of the time limit that is used up |
-    | `features` | (64, 16) | tracked contour points, zero rows where there are none (not in `obs_mode="rgb"`) |
+    | `features` | (64, 19) | tracked contour points, zero rows where there are none (not in `obs_mode="rgb"`) |
     | `rgb` | (128, 128, 3) uint8 | (`obs_mode="rgb"`, `"both"`) |
 
     Columns of `features`: `radius`, `sigma` [m] of the section by the epipolar plane (sigma 1: unknown), `relative`,
     `sigma_relative` [m] the same relative to the fixed references, `x`, `y`, `z` contact point [m], `sigma_position` [m] along
     the normal, `nx`, `ny`, `nz` outward normal, `extremal` 1 where R is not zero at 95 %, `reference`, `visible`, `contour`
-    number of the image contour, `looks` number of views.
+    number of the image contour, `looks` number of views, `plane_x`, `plane_y`, `plane_z` unit normal of the section's plane.
 
     ## Rewards
 

@@ -133,8 +133,6 @@ class _Tracks(SequentialShape):
     def __init__(self, edges: EdgeModel) -> None:
         super().__init__(FIRST_LOOKS, nearest=NEAREST)
         self._edges = edges
-        # [px] of a limb or a fixed edge, which is not known
-        self._least = np.hypot(edges.sigma_px, edges.fixed_sigma_px) / np.sqrt(2)
         self._sections: SectionTracks | None = None
         self._root = PoseRoots()
 
@@ -187,7 +185,7 @@ class _Tracks(SequentialShape):
             self._contrasts = EdgeContrasts(len(origin))
         root = self._root.of(view.pose_covariance)
         # the pipeline does not know how coarsely a frame was sampled
-        sigma = np.maximum(sigma[self._rows], self._least / view.camera.fx)
+        sigma = np.maximum(sigma[self._rows], self._edges.either_px / view.camera.fx)
         changed = self._contrasts.changed(
             np.where(np.isfinite(sigma), contrast[self._rows], np.nan), self._sections.fixed
         )

@@ -28,7 +28,7 @@ from extremal.tasks.triples import Vector, plus, times
 SLOTS = 64  # features that an observation holds: the visible ones first, then those seen most often
 COLUMNS = (
     "radius", "sigma", "relative", "sigma_relative", "x", "y", "z", "sigma_position", "nx", "ny", "nz", "extremal",
-    "reference", "visible", "contour", "looks",
+    "reference", "visible", "contour", "looks", "plane_x", "plane_y", "plane_z",
 )  # fmt: skip
 MOST_VIEWS = 1 << 40
 UNKNOWN = 1.0  # [m] that stands for an infinite sigma
@@ -46,6 +46,9 @@ _SIGNED: dict[str, float] = {
     "nx": 1,
     "ny": 1,
     "nz": 1,
+    "plane_x": 1,
+    "plane_y": 1,
+    "plane_z": 1,
 }
 _MOST: dict[str, float] = {"contour": 1e4, "looks": 1e4}
 _LOW = np.array([-_SIGNED.get(name, 0.0) for name in COLUMNS])
@@ -68,7 +71,7 @@ def feature_rows(features: Features) -> NDArray[np.float32]:
     f, rows = features, np.zeros((SLOTS, len(COLUMNS)), np.float32)
     _fill(
         rows, f.radius, f.sigma_radius, f.relative_radius, f.sigma_relative, f.position, f.covariance, f.normal,
-        f.extremal, f.reference, f.visible, f.contour, f.views, _LOW, _HIGH,
+        f.extremal, f.reference, f.visible, f.contour, f.views, f.plane, _LOW, _HIGH,
     )  # fmt: skip
     return rows
 
@@ -94,6 +97,7 @@ def _fill(
     visible: NDArray[np.bool_],
     contour: NDArray[np.integer],
     views: NDArray[np.integer],
+    plane: Array,
     low: Array,
     high: Array,
 ) -> None:
@@ -108,7 +112,7 @@ def _fill(
         values = (
             radius[i], sigma[i], relative[i], sigma_relative[i], position[i, 0], position[i, 1], position[i, 2],
             math.sqrt(max(along, 0.0)), normal[i, 0], normal[i, 1], normal[i, 2], 1.0 * extremal[i], 1.0 * reference[i],
-            1.0 * visible[i], 1.0 * contour[i], 1.0 * views[i],
+            1.0 * visible[i], 1.0 * contour[i], 1.0 * views[i], plane[i, 0], plane[i, 1], plane[i, 2],
         )  # fmt: skip
         for c in range(len(values)):
             rows[j, c] = 0.0 if np.isnan(values[c]) else min(max(values[c], low[c]), high[c])
@@ -116,7 +120,7 @@ def _fill(
 
 @dataclass(frozen=True, eq=False)
 class SeenFeatures:
-    """The rows of an observation by their names: (n,) each, position and normal (n, 3)."""
+    """The rows of an observation by their names: (n,) each, position, normal and plane (n, 3)."""
 
     rows: NDArray[np.floating]
 
@@ -138,6 +142,10 @@ class SeenFeatures:
     @property
     def normal(self) -> Array:
         return self.rows[:, COLUMNS.index("nx") : COLUMNS.index("nx") + 3]
+
+    @property
+    def plane(self) -> Array:
+        return self.rows[:, COLUMNS.index("plane_x") : COLUMNS.index("plane_x") + 3]
 
 
 def motion_space(mode: str) -> gym.spaces.Box:

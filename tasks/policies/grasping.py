@@ -92,7 +92,7 @@ class Grasper:
         if len(rows) == 0:
             return []
         around, spread = radius_around(
-            radius[rows], sigma[rows], seen.position[rows], seen.normal[rows], self._start.translation
+            radius[rows], sigma[rows], seen.position[rows], seen.normal[rows], seen.plane[rows]
         )
         middle = np.median(around)
         good = (around > 0.01) & (np.abs(around - middle) < 0.5 * middle + 0.005)  # others stand elsewhere
@@ -128,23 +128,25 @@ def _plainest(contour: Array, significance: Array, rows: NDArray[np.intp]) -> ND
 
 
 def radius_around(
-    radius: Array, sigma: Array, position: Array, normal: Array, eye: Array
+    radius: Array, sigma: Array, position: Array, normal: Array, plane: Array
 ) -> tuple[Array, Array]:
-    """Radii (n,) of the level section and their sigma [m], from those of sections along slanting rays.
+    """Radii (n,) of the level sections and their sigma [m], from those of sections by planes (n, 3) that slant.
 
-    Along a unit ray d the curvature is that of the level section, weighted by what of d is level, and that of the meridian,
-    weighted by the rest (Euler). The meridian's comes from how far out the contour generator lies at different heights.
+    A section's curvature is that of the surface along it over the cosine between its plane and the normal (Meusnier); that is
+    the curvature around, weighted by what of the section's direction is level, and that of the meridian, weighted by the rest
+    (Euler). The meridian's comes from how far out the contour generator lies at different heights.
     """
-    ray = position - eye
-    up = (ray[:, 2] / np.linalg.norm(ray, axis=1)) ** 2
+    along, level = np.cross(normal, plane), np.cross(normal, UP)
+    cosine, upright = np.linalg.norm(along, axis=1), np.linalg.norm(level, axis=1)
+    around = (np.sum(along * level, axis=1) / (cosine * upright)) ** 2
     out = np.mean(normal * [1.0, 1.0, 0.0], axis=0)
     meridian = 0.0
     if len(radius) >= 3 and np.ptp(position[:, 2]) > 0.04:
         bend = np.polyfit(position[:, 2], position @ out / np.linalg.norm(out), 2)[0]
         meridian = -2.0 * float(np.clip(bend, -STEEPEST, STEEPEST))
-    level = (1 / radius - up * meridian) / (1 - up)
-    around = 1 / np.maximum(level, 1 / LARGEST)
-    return around, sigma * (around / radius) ** 2 / (1 - up)
+    curvature = (cosine / radius - (1 - around) * meridian * upright**3) / around
+    found = upright / np.maximum(curvature, upright / LARGEST)
+    return found, sigma * (found / radius) ** 2 * cosine / (around * upright)
 
 
 class Knowing:

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 
 from extremal.estimator import InvalidInput
+from extremal.scenes import Lathe
 from extremal.scripts.evaluate import EvaluateSettings, evaluate
 from extremal.tasks.answers import Answer, contact_from, crps, probability_extremal, quality
 from extremal.tasks.evaluation import Evaluation, run_episode
 from extremal.tasks.inspect_setup import InspectTruth
 from extremal.tasks.policies.baselines import BASELINES
+from extremal.tasks.policies.grasping import radius_around
 from extremal.tasks.policies.policy import RandomPolicy, load_policy
 from extremal.tasks.tiers import TRAIN_SEEDS
 
@@ -107,6 +109,25 @@ def test_a_contour_generator_slides_as_on_a_cylinder() -> None:
         tuple(eyes[1].tolist()), np.array([first] * 2), np.array([normal] * 2), np.array([radius, 0.0])
     )
     np.testing.assert_allclose(both, [second, first], atol=1e-12)
+
+
+@pytest.mark.parametrize("bend", [0.0, -2.5, 3.0], ids=["cone", "barrel", "waist"])
+def test_level_sections_from_slanting_ones(bend: float) -> None:
+    """Sections by planes of any slant, also against the normal, as they are where a track's arc has gone far round."""
+    z, rng = np.linspace(0, 0.2, 21), np.random.default_rng(3)
+    vase = Lathe(z, 0.05 + 0.1 * (z - 0.1) + bend * (z - 0.1) ** 2)
+    height = np.linspace(0.06, 0.14, 9)
+    r = vase.profile.derivatives(height)[0]
+    position = np.stack([r, np.zeros(9), height], axis=1)
+    normal = vase.normals(position)
+    slant, lean = rng.uniform(-0.9, 0.9, (2, 9)) * [[1.0], [0.4]]
+    along = np.cos(slant)[:, None] * [0.0, 1.0, 0.0] + np.sin(slant)[:, None] * np.cross(normal, [0, 1.0, 0])
+    plane = np.cos(lean)[:, None] * np.cross(along, normal) + np.sin(lean)[:, None] * normal
+    radius, level = (vase.section_radius(position, e) for e in (plane, np.tile([0, 0, 1.0], (9, 1))))
+    found, sigma = radius_around(radius, np.full(9, 1e-6), position, normal, plane)
+    np.testing.assert_allclose(found, level, rtol=2e-3)
+    more, _ = radius_around(radius + 1e-6, np.full(9, 1e-6), position, normal, plane)
+    np.testing.assert_allclose(more - found, sigma, rtol=1e-3)
 
 
 def test_probability_of_an_extremal_boundary() -> None:

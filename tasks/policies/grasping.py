@@ -29,6 +29,7 @@ BACK = 0.08  # [m] beyond the start, of ways back: R is known as the square of t
 WORST = 0.03  # [m] sigma of R beyond which it says nothing
 MOST = 10  # beliefs that are passed on
 STEEPEST, LARGEST = 10.0, 0.12  # [1/m] of half a meridian's curvature; [m] of a radius: at most
+LEAST_LEVEL = 0.1  # squared cosine to the level: a section that stands upright says nothing of the level one
 MEAN_RADIUS, SPREAD = 0.05, 0.015  # [m] of vases
 VASES = 0.02, 0.1  # [m] smallest and largest radius that a vase is believed to have
 SURE = 1e-4  # [m] sigma of those who take their R for certain
@@ -138,7 +139,7 @@ def radius_around(
     """
     along, level = np.cross(normal, plane), np.cross(normal, UP)
     cosine, upright = np.linalg.norm(along, axis=1), np.linalg.norm(level, axis=1)
-    around = (np.sum(along * level, axis=1) / (cosine * upright)) ** 2
+    around = np.maximum((np.sum(along * level, axis=1) / (cosine * upright)) ** 2, LEAST_LEVEL)
     out = np.mean(normal * [1.0, 1.0, 0.0], axis=0)
     meridian = 0.0
     if len(radius) >= 3 and np.ptp(position[:, 2]) > 0.04:

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 from scipy.spatial.transform import RigidTransform
 
-from extremal.estimator.camera import Array, Camera
+from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput, RenderingError
-from extremal.sim.axes import MUJOCO_AXES
+from extremal.sim.axes import place_eye
 from extremal.sim.backdrop import Backdrop
 from extremal.sim.buffers import SAMPLES, drawing_context, thread_context
 from extremal.sim.gl import select_backend
@@ -154,7 +154,7 @@ class FrameRenderer:
             )
         total = np.zeros(window.shape, np.float32)
         for pose in poses:
-            self._look_from(self._stage.data, pose)
+            place_eye(self._model, self._stage.data, pose)
             for offset in self.quality.offsets:
                 channels = cv2.split(self._draw(self._stage, window, offset))
                 for channel, weight in zip(channels, weights, strict=True):
@@ -166,13 +166,6 @@ class FrameRenderer:
         columns = _sampling(camera.width, s, camera.blur, False)
         frame = (columns @ np.ascontiguousarray((rows @ total).T)).T
         return np.ascontiguousarray(frame / (3 * self.quality.passes * len(poses)), np.float32)
-
-    def _look_from(self, data: mujoco.MjData, pose: Array) -> None:
-        """Put the eye where the camera is, at a pose (4, 4)."""
-        data.mocap_pos[0] = pose[:3, 3]
-        mujoco.mju_mat2Quat(data.mocap_quat[0], (pose[:3, :3] * MUJOCO_AXES).ravel())
-        mujoco.mj_kinematics(self._model, data)
-        mujoco.mj_camlight(self._model, data)
 
     def _draw(self, stage: _Stage, window: Window, offset: NDArray[np.floating]) -> NDArray[np.uint8]:
         """One pass (height, width, 3) over a window, bottom row first; `offset` (2,) shifts the image [rendered px]."""

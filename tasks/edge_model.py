@@ -48,6 +48,11 @@ class EdgeModel:
             if not least <= value <= most:
                 raise InvalidInput(f"{field.name} of edges is {value!r}; accepted: {least:g} to {most:g}")
 
+    @property
+    def either_px(self) -> float:
+        """Standard deviation [px] of the noise of an edge that may be a limb or fixed, which no sensor knows."""
+        return math.hypot(self.sigma_px, self.fixed_sigma_px) / math.sqrt(2)
+
     def first_bias(self, tracks: int, rng: np.random.Generator) -> Array:
         """Biases (tracks,) [px] of tracks that start."""
         return self.bias_px * rng.standard_normal(tracks)
@@ -56,11 +61,6 @@ class EdgeModel:
         """Biases (n,) [px] after the line of sight has turned [rad]."""
         kept = math.exp(-turn / self.bias_turn)
         return kept * bias + (self.bias_px * math.sqrt(1 - kept * kept)) * rng.standard_normal(len(bias))
-
-    @property
-    def either_px(self) -> float:
-        """Standard deviation [px] of the noise of an edge that may be a limb or fixed, which no sensor knows."""
-        return math.hypot(self.sigma_px, self.fixed_sigma_px) / math.sqrt(2)
 
     def noise(self, fixed: NDArray[np.bool_]) -> Array:
         """Standard deviations (n,) [px] of edges that are `fixed` or not."""

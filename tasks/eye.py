@@ -13,7 +13,7 @@ from extremal.estimator.camera import Camera
 from extremal.estimator.errors import InvalidInput, RenderingError
 from extremal.scenes import Scene
 from extremal.scenes.grids import QUICK
-from extremal.sim.axes import MUJOCO_AXES
+from extremal.sim.axes import place_eye
 from extremal.sim.buffers import drawing_context, thread_context
 from extremal.sim.gl import select_backend
 from extremal.sim.rendering import EYE, FARTHEST, NEAR, scene_model
@@ -90,11 +90,7 @@ class Eye:
             )
         drawing = self._drawing
         model, data, scene = drawing.model, drawing.data, drawing.scene
-        data.mocap_pos[0] = pose[:3, 3]
-        # transforms of scipy would take a fifth of a small image's time
-        mujoco.mju_mat2Quat(data.mocap_quat[0], (pose[:3, :3] * MUJOCO_AXES).ravel())
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_camlight(model, data)
+        place_eye(model, data, pose)
         categories = int(mujoco.mjtCatBit.mjCAT_ALL)
         mujoco.mjv_updateScene(model, data, mujoco.MjvOption(), None, drawing.view, categories, scene)
         pixels = np.empty((self.camera.height, self.camera.width, 3), np.uint8)

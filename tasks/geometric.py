@@ -128,7 +128,6 @@ class _Tracks:
         distance = np.linalg.norm(away, axis=1)
         ray = away / distance[:, None]
         self._noise = self._model.noise(contacts.curve >= 0)
-        self._told_noise = np.full(n, self._model.either_px)
         self._travel, self._start = travel, at.believed[:3, 3].copy()
         self._plane = _unit(np.cross(travel, ray))
         first = np.cross(ray, self._plane)
@@ -173,7 +172,7 @@ class _Tracks:
         )  # fmt: skip
         normals, sigma, shift = sighted(
             away, contacts.normals, self._plane, self._travel, look.actual, look.believed, (camera.fx, camera.fy), error,
-            self._told_noise, pixels, contacts.there, self._hidden, found & ~beside, (camera.width, camera.height),
+            self._model.either_px, pixels, contacts.there, self._hidden, found & ~beside, (camera.width, camera.height),
         )  # fmt: skip
         return _Seen(normals, sigma, pixels, shift)
 

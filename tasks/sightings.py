@@ -82,7 +82,7 @@ def sighted(
     believed: Array,
     focal: tuple[float, float],
     error: Array,
-    noise: Array,
+    noise: float,
     pixels: Array,
     there: NDArray[np.bool_],
     hidden: NDArray[np.bool_],
@@ -133,7 +133,7 @@ def tangent_planes(
 
 @compiled
 def sigma_of_seen(
-    noise: Array,
+    noise: float,
     per_px: Array,
     pixels: Array,
     there: NDArray[np.bool_],
@@ -141,14 +141,14 @@ def sigma_of_seen(
     found: NDArray[np.bool_],
     size: tuple[int, int],
 ) -> Array:
-    """Sigma (n,) [rad] of noise (n,) [px], infinite unless an edge is there, not hidden, found, and its pixel (n, 2) within an image of
+    """Sigma (n,) [rad] of `noise` [px], infinite unless an edge is there, not hidden, found, and its pixel (n, 2) within an image of
     that size (width, height)."""
-    sigma = np.full(len(noise), np.inf)
-    for i in range(len(noise)):
+    sigma = np.full(len(pixels), np.inf)
+    for i in range(len(pixels)):
         x, y = pixels[i, 0], pixels[i, 1]
         within = -0.5 <= x <= size[0] - 0.5 and -0.5 <= y <= size[1] - 0.5
         if there[i] and found[i] and not hidden[i] and within:
-            sigma[i] = noise[i] * per_px[i]
+            sigma[i] = noise * per_px[i]
     return sigma
 
 

@@ -137,15 +137,19 @@ class SeenFeatures:
 
     @property
     def position(self) -> Array:
-        return self.rows[:, COLUMNS.index("x") : COLUMNS.index("x") + 3]
+        return self._vectors("x")
 
     @property
     def normal(self) -> Array:
-        return self.rows[:, COLUMNS.index("nx") : COLUMNS.index("nx") + 3]
+        return self._vectors("nx")
 
     @property
     def plane(self) -> Array:
-        return self.rows[:, COLUMNS.index("plane_x") : COLUMNS.index("plane_x") + 3]
+        return self._vectors("plane_x")
+
+    def _vectors(self, first: str) -> Array:
+        """(n, 3) of three columns, by the name of the first."""
+        return self.rows[:, COLUMNS.index(first) : COLUMNS.index(first) + 3]
 
 
 def motion_space(mode: str) -> gym.spaces.Box:

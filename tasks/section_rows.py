@@ -105,7 +105,7 @@ def tell(
             spread = math.sqrt(sigma[v, i] * sigma[v, i] + repeats[i] * repeats[i])
             s, plane = unknowns(theta, i), row_in(planes, v, i)
             N, T, lever = row_in(frame, i, 0), row_in(frame, i, 1), plus(eye, -1.0, row(origin, i))
-            x, slope, arm, miss, weight = _row(
+            x, slope, arm, miss, weight = equation(
                 plane, spread, s, middle[i], lever, N, T, NEAREST * distance[i], far
             )
             moved = _of_pose(poses, root, z, v, slope, crossed(plane, arm), -weight, O, i)
@@ -138,7 +138,7 @@ def missed(
     for i in range(n):
         s, plane = unknowns(theta, i), row(planes, i)
         N, T, lever = row_in(frame, i, 0), row_in(frame, i, 1), plus(eye, -1.0, row(origin, i))
-        x, slope, arm, miss, weight = _row(
+        x, slope, arm, miss, weight = equation(
             plane, spread[i], s, middle[i], lever, N, T, NEAREST * distance[i], math.inf
         )
         put(X, i, times(weight, (x[0], x[1], x[2])))
@@ -148,7 +148,7 @@ def missed(
 
 
 @compiled
-def _row(
+def equation(
     n: Vector,
     sigma: float,
     theta: Unknowns,
@@ -159,8 +159,8 @@ def _row(
     nearest: float,
     far: float,
 ) -> tuple[Unknowns, Vector, Vector, float, float]:
-    """Of a tangent plane n: derivatives of its miss by theta and by the camera, the arm from contact point to camera, the miss and
-    the weight."""
+    """Of a tangent plane n, with `lever` from a section's origin to the camera: derivatives of its miss by theta and by the camera, the
+    arm from contact point to camera, the miss and the weight."""
     R, c = theta[2], theta[3]
     a, b = dot(N, n), dot(T, n)
     rho = max(math.sqrt(a * a + b * b), 1e-9)

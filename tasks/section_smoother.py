@@ -18,6 +18,7 @@ from extremal.estimator.poses import six_columns
 from extremal.estimator.slant import FAR as FAR_SLANT
 from extremal.tasks.compiled import compiled
 from extremal.tasks.section_arcs import arc_middle, widen
+from extremal.tasks.section_corners import beyond_corners
 from extremal.tasks.section_looks import Looks, Rows, Sums
 from extremal.tasks.section_misfit import repeated
 from extremal.tasks.section_rows import missed, placed, tell
@@ -80,6 +81,7 @@ class SectionSmoother:
         self.first, self.last = np.full(n, np.inf), np.full(n, -np.inf)
         self._refused, self.anew = np.zeros(n, int), np.zeros(n, bool)
         self._due = self._spread_due = self._repeats_due = 0.0  # number of looks
+        self._corners_due = float(EARLY)
         self._spread: Spread | None = None
         self.count = 0
 
@@ -115,6 +117,8 @@ class SectionSmoother:
             return out
         if self._told < self._looks.count:
             self.solve()
+        if self.count >= self._corners_due:
+            self._part_at_corners()
         assert self._spread is not None
         n, (origin, frame, distance) = len(sigma), (values[rows] for values in self._sections)
         planes = self._smoothed_last(believed, normals @ believed[:3, :3].T, sigma)[rows]
@@ -136,6 +140,23 @@ class SectionSmoother:
             seen = np.sum(np.isfinite(self._looks.part(0).sigma), axis=0)
             self._begin_anew(out & (self._refused > seen))
         return out
+
+    def _part_at_corners(self) -> None:
+        """Forget the lesser part of sections with a corner."""
+        self._corners_due = GROWTH * self.count
+        rows = self._looks.part(0)
+        _, poses, planes = placed(
+            rows.believed, rows.root, rows.normals, self._theta, rows.loss, rows.pull, rows.inverse
+        )
+        origin, frame, distance = self._sections
+        beyond = beyond_corners(poses, planes, rows.sigma, self._theta, self.middle, origin, frame, distance)
+        if beyond.any():
+            rows.sigma[beyond] = np.inf
+            self.first[:], self.last[:] = np.inf, -np.inf
+            for believed, normals, sigma in zip(rows.believed, rows.normals, rows.sigma, strict=True):
+                widen(believed, normals, sigma, frame, self.first, self.last)
+            self._due = self._corners_due = 0.0  # a part may have a corner, too
+            self.solve()
 
     def _begin_anew(self, sections: NDArray[np.bool_]) -> None:
         """Forget all that was seen of `sections` (n,)."""

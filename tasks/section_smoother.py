@@ -111,20 +111,40 @@ class SectionSmoother:
         What such sections showed in the looks just before is forgotten: contours that come apart were one for a while. Where
         more has been left out than is left, what is left is not believed either: such sections begin anew.
         """
-        out, rows = np.zeros(len(sigma), bool), np.flatnonzero(np.isfinite(sigma))
         self.anew[:] = False
-        if self.count < JUDGING or len(rows) == 0:
-            return out
+        if self.count < JUDGING or not np.isfinite(sigma).any():
+            return np.zeros(len(sigma), bool)
         if self._told < self._looks.count:
             self.solve()
         if self.count >= self._corners_due:
-            self._part_at_corners()
+            self._part_at_corners(contour)
+        planes = self._smoothed_last(believed, normals @ believed[:3, :3].T, sigma)
+        out = self._judged(believed, root, planes, sigma, contour)
+        self._looks.forget(out, BEFORE)
+        self._refused += out
+        if out.any():
+            seen = np.sum(np.isfinite(self._looks.part(0).sigma), axis=0)
+            self._begin_anew(out & (self._refused > seen))
+        return out
+
+    def _judged(
+        self, believed: Array, root: Array, planes: Array, sigma: Array, contour: NDArray[np.integer]
+    ) -> NDArray[np.bool_]:
+        """Which (n,) tangent planes (n, 3) of a look, in the world, are of other contours, by what is known of the sections."""
         assert self._spread is not None
-        n, (origin, frame, distance) = len(sigma), (values[rows] for values in self._sections)
-        planes = self._smoothed_last(believed, normals @ believed[:3, :3].T, sigma)[rows]
+        out, rows, n = np.zeros(len(sigma), bool), np.flatnonzero(np.isfinite(sigma)), len(sigma)
+        origin, frame, distance = (values[rows] for values in self._sections)
         spread, theta = np.hypot(sigma, self._repeats)[rows], self._theta[rows]
         X, O, r = missed(
-            believed, six_columns(root), planes, spread, theta, self.middle[rows], origin, frame, distance
+            believed,
+            six_columns(root),
+            planes[rows],
+            spread,
+            theta,
+            self.middle[rows],
+            origin,
+            frame,
+            distance,
         )
         P = self._spread.covariance.reshape(n, 3, n, 3)[rows][:, :, rows]
         arc = np.maximum(self.last - self.first, 0.0)[rows]
@@ -134,29 +154,45 @@ class SectionSmoother:
         common = np.hypot(ALIKE, np.sqrt(np.sum(root[3:] ** 2)) * depth / (spread * distance))
         judged = contour[rows] if self.count >= EARLY else np.arange(len(rows))
         out[rows] = strays(X, O, r, P, 1.0 + bend**2, common, judged)
-        self._looks.forget(out, BEFORE)
-        self._refused += out
-        if out.any():
-            seen = np.sum(np.isfinite(self._looks.part(0).sigma), axis=0)
-            self._begin_anew(out & (self._refused > seen))
         return out
 
-    def _part_at_corners(self) -> None:
-        """Forget the lesser part of sections with a corner."""
+    def _part_at_corners(self, contour: NDArray[np.integer]) -> None:
+        """Forget the lesser part of sections with a corner, and what is of other contours by what the others say then."""
         self._corners_due = GROWTH * self.count
-        rows = self._looks.part(0)
-        _, poses, planes = placed(
-            rows.believed, rows.root, rows.normals, self._theta, rows.loss, rows.pull, rows.inverse
-        )
-        origin, frame, distance = self._sections
+        rows, (origin, frame, distance) = self._looks.part(0), self._sections
+        poses, planes = self._placed(rows)
         beyond = beyond_corners(poses, planes, rows.sigma, self._theta, self.middle, origin, frame, distance)
-        if beyond.any():
-            rows.sigma[beyond] = np.inf
-            self.first[:], self.last[:] = np.inf, -np.inf
-            for believed, normals, sigma in zip(rows.believed, rows.normals, rows.sigma, strict=True):
-                widen(believed, normals, sigma, frame, self.first, self.last)
-            self._due = self._corners_due = 0.0  # a part may have a corner, too
-            self.solve()
+        if not beyond.any():
+            return
+        # misfits of other sections may have come of these
+        self._repeats, self._repeats_due = np.zeros(len(self._theta)), np.inf
+        self._leave_out(beyond)
+        poses, planes = self._placed(rows)
+        if self._noisy_slant:
+            planes = smoothed(poses, planes, rows.sigma, self._theta, origin, frame, FAR_SLANT)
+        turned = planes @ poses[:, :3, :3] @ np.swapaxes(rows.believed[:, :3, :3], 1, 2)
+        out = np.zeros_like(beyond)
+        for v in range(len(out)):
+            out[v] = self._judged(rows.believed[v], rows.root[v], turned[v], rows.sigma[v], contour)
+        self._repeats_due = 0.0
+        self._leave_out(out)
+        self._corners_due = 0.0  # a part may have a corner, too
+
+    def _leave_out(self, planes: NDArray[np.bool_]) -> None:
+        """Forget planes (V, n) of the looks."""
+        rows = self._looks.part(0)
+        rows.sigma[planes] = np.inf
+        self.first[:], self.last[:] = np.inf, -np.inf
+        for believed, normals, sigma in zip(rows.believed, rows.normals, rows.sigma, strict=True):
+            widen(believed, normals, sigma, self._sections[1], self.first, self.last)
+        self._due = 0.0
+        self.solve()
+
+    def _placed(self, rows: Rows) -> tuple[Array, Array]:
+        """Poses (V, 4, 4) of looks that fit best what is known, and their tangent planes (V, n, 3) in the world."""
+        return placed(
+            rows.believed, rows.root, rows.normals, self._theta, rows.loss, rows.pull, rows.inverse
+        )[1:]
 
     def _begin_anew(self, sections: NDArray[np.bool_]) -> None:
         """Forget all that was seen of `sections` (n,)."""
@@ -170,9 +206,7 @@ class SectionSmoother:
         if not self._noisy_slant:
             return planes
         rows, (origin, frame, _) = self._looks.part(0), self._sections
-        _, poses, before = placed(
-            rows.believed, rows.root, rows.normals, self._theta, rows.loss, rows.pull, rows.inverse
-        )
+        poses, before = self._placed(rows)
         poses, before = np.concatenate([poses, believed[None]]), np.concatenate([before, planes[None]])
         sigma = np.concatenate([rows.sigma, sigma[None]])
         return smoothed(poses, before, sigma, self._theta, origin, frame, FAR_SLANT)[-1]

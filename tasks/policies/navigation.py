@@ -5,6 +5,7 @@ newest contour generator near the camera's own level is an `ArcBelief`; earlier 
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -25,8 +26,11 @@ MEAN_RADIUS, SPREAD = 0.1, 0.03  # [m] of obstacles
 LEVEL = 0.05  # [m] from the camera's level, within which a contour generator counts
 SAME = 0.006  # [m] between contact points that are one
 LEAST_LOOKS, WORST = 5, 0.06  # looks and sigma [m], before which a radius says nothing
+STRIDE = 0.12  # [m] from one contact point to the next that is tracked, where it moves on along the obstacle
+MOST = 0.5  # of a contour's points
 SHARPEST = 0.012  # [m] what is sharper is an edge that was taken for a contour
 OUTWARD = np.radians(25)  # of the first steps from the optical axis
+UNSEEN = 0.25  # of the radius, of which it is known where the contour generator is out of sight, at best
 MARGIN = 0.002  # [m] on top of the wanted clearance: for poses
 
 
@@ -68,7 +72,10 @@ class Around:
             self._remember(found)
         if not self._beliefs:
             return steered(pose, self._first_step(goal), None)
-        plan, _ = plan_around(pose.translation, goal, [self._beliefs], self._caution)
+        beliefs = (
+            self._beliefs if found or not self._again else [*self._beliefs[:-1], _unseen(self._beliefs[-1])]
+        )
+        plan, _ = plan_around(pose.translation, goal, [beliefs], self._caution)
         velocity = next_velocity(pose.translation, plan.waypoints, SPEED, DT)
         return steered(pose, velocity, self._beliefs[-1].point)
 
@@ -83,16 +90,11 @@ class Around:
     def _believed(self, seen: SeenFeatures, pose: RigidTransform) -> ArcBelief | None:
         """The contour generator that is in view at the camera's level."""
         radius, sigma = self._radius(seen)
-        ray = seen.position - pose.translation
-        level = np.abs(ray[:, 2]) < LEVEL
-        tangent = np.abs(np.sum(ray * seen.normal, axis=1)) < 0.6 * np.linalg.norm(ray, axis=1)
-        upright = np.abs(seen.normal[:, 2]) < 0.7
-        use = (seen.extremal > 0) & (seen.visible > 0) & (seen.reference == 0) & (seen.looks >= LEAST_LOOKS)
-        use &= level & tangent & upright & (sigma < WORST) & (radius > SHARPEST)
+        use = self._of_limb(seen, pose, radius) & (sigma < WORST)
         if use.sum() < 2:
             return None
-        nearest = np.median(np.linalg.norm(ray[use], axis=1))
-        use &= np.linalg.norm(ray, axis=1) < 1.3 * nearest + 0.02
+        distance = np.linalg.norm(seen.position - pose.translation, axis=1)
+        use &= distance < 1.3 * np.median(distance[use]) + 0.02
         weight = 1 / (sigma[use] ** 2 + 1e-8)
         weight /= weight.sum()
         normal = weight @ seen.normal[use]
@@ -106,6 +108,19 @@ class Around:
             float(np.min(seen.sigma_position[use])),
         )
 
+    def _of_limb(self, seen: SeenFeatures, pose: RigidTransform, radius: Array) -> NDArray[np.bool_]:
+        """Which features (n,) are of a limb of the obstacle at the camera's level."""
+        ray = seen.position - pose.translation
+        tangent = np.abs(np.sum(ray * seen.normal, axis=1)) < 0.6 * np.linalg.norm(ray, axis=1)
+        there = tangent & (np.abs(ray[:, 2]) < LEVEL) & (np.abs(seen.normal[:, 2]) < 0.7)
+        there &= (seen.visible > 0) & (seen.looks >= LEAST_LOOKS)
+        if self._beliefs:
+            there &= np.linalg.norm(seen.position - self._beliefs[-1].point, axis=1) < STRIDE
+        curved = there & (seen.extremal > 0) & (seen.reference == 0) & (radius > SHARPEST)
+        # some points of an edge pass for curved: of a limb most do
+        alike = (seen.contour[:, None] == seen.contour).astype(float)
+        return curved & (alike @ curved > MOST * (alike @ there))
+
     def _remember(self, found: ArcBelief) -> None:
         for i, known in enumerate(self._beliefs):
             if np.linalg.norm(known.point - found.point) < SAME:
@@ -113,6 +128,11 @@ class Around:
                     self._beliefs[i] = found
                 return
         self._beliefs.append(found)
+
+
+def _unseen(belief: ArcBelief) -> ArcBelief:
+    """Of a contour generator that is out of sight: mostly because its radius changes faster than it could be followed."""
+    return replace(belief, sigma_radius=max(belief.sigma_radius, UNSEEN * belief.radius))
 
 
 def pose_of(observation: Mapping[str, Any]) -> RigidTransform:

@@ -28,6 +28,7 @@ REACH = 0.06  # [m] from the plane of the question, of features that are interpo
 POORLY = 3.0  # times the least sigma of those: features that are known less well add nothing but their errors
 BEYOND = 0.01  # [m] from the plane, within which features of one side alone are extrapolated
 LEAST_LOOKS = 5
+STEEP = 0.5  # sine of the angle to the plane, from which on a contour is followed to it
 UNKNOWN = 1.0  # [m] sigma from which nothing is known
 NEAREST = 0.01  # [m] before the camera, of what it sees
 SLID = 0.03  # [m] sigma of R from which contacts are moved over the surface
@@ -113,9 +114,8 @@ class Question:
         R = float(weight @ (side * seen.radius[rows]))
         normal = np.sign(R or 1.0) * (weight @ (side[:, None] * seen.normal[rows]))
         in_plane = normal - (normal @ up) * up
-        place = contact_from(
-            tuple(eye.tolist()), (weight @ seen.position[rows])[None], in_plane[None], np.array([abs(R)])
-        )[0]
+        point = _along(weight @ seen.position[rows], normal, eye, up)
+        place = contact_from(tuple(eye.tolist()), point[None], in_plane[None], np.array([abs(R)]))[0]
         # errors of poses are alike in all features, others are each one's own: the greater sum is near the truth
         each = weight * seen.sigma[rows]
         spread = math.sqrt(max(each.sum() ** 2, each @ each) + (ROUND * R) ** 2 + LEAST_SIGMA**2)
@@ -193,6 +193,13 @@ def interpolating(height: Array) -> Array:
     powers = np.vander(height[use] / REACH, min(3, len(use)), increasing=True)
     weight[use] = np.linalg.pinv(powers)[0]
     return weight
+
+
+def _along(point: Array, normal: Array, eye: Array, up: Array) -> Array:
+    """Where a contour that passes a point (3,) meets the plane through the eye (3,) with normal `up` (3,), if it goes on across the ray."""
+    along = _unit(np.cross(normal, point - eye))
+    climb = float(along @ up)
+    return point if abs(climb) < STEEP else point - (point - eye) @ up / climb * along
 
 
 def _unit(v: Array) -> Array:

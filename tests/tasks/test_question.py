@@ -12,6 +12,7 @@ from extremal.sim import fixating
 from extremal.tasks.question import BEYOND, LEAST_SIGMA, ROUND, Question, Tracked, interpolating
 
 CAMERA, FIXATION, R = Camera(), np.array([0.0, 0.0, 0.1]), 0.04
+UP = np.array([0.0, 0.0, 1.0])
 EYE = np.array([-0.53, 0.02, 0.19])
 
 
@@ -69,6 +70,28 @@ def test_the_contact_is_where_the_view_of_the_answer_has_it(sideways: float) -> 
     assert np.linalg.norm(found.point - expected) < 0.0015
     assert found.radius == pytest.approx(R, rel=0.02) and found.extremal > 0.99
     assert abs(asked.plane(eye) @ (found.point - eye)) < 1e-9
+
+
+def test_a_contour_that_is_known_to_one_side_goes_on_to_where_it_is_asked_about() -> None:
+    """The limb of an upright cylinder, tracked from 25 mm above the plane on."""
+    first = fixating(EYE[None], FIXATION)[0]
+    axis = FIXATION[:2] - EYE[:2]
+    away = np.linalg.norm(axis)
+    side = axis @ np.array([[0.0, -1.0], [1.0, 0.0]]) / away
+    normal = np.append(side * np.sqrt(1 - (R / away) ** 2) - axis / away * R / away, 0.0)
+    foot = np.append(FIXATION[:2], 0.0) + R * normal
+    assert abs(normal[:2] @ (foot - EYE)[:2]) < 1e-12
+    level = EYE[2] + (FIXATION - EYE)[2] / away * np.linalg.norm((foot - EYE)[:2])
+    asked = Question(CAMERA, first, CAMERA.project(first.inv().apply(foot + level * UP)[None])[0])
+    there = foot + (level + 0.025 + 0.012 * np.arange(4))[:, None] * UP
+    seen = Tracked(
+        there, np.tile(normal, (4, 1)), np.zeros(4, int), np.full(4, 30), np.full(4, R), np.full(4, 0.001)
+    )
+    found = asked.answer(EYE, seen)
+    assert found is not None and found.radius == pytest.approx(R)
+    assert abs(asked.plane(EYE) @ (found.point - EYE)) < 1e-9
+    # how it goes on along the rays, it is not told
+    assert np.linalg.norm(found.point - foot - level * UP) < 0.005
 
 
 def test_normals_and_radii_of_the_wrong_sign_are_the_same_feature() -> None:

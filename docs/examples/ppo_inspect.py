@@ -31,7 +31,7 @@ HOLD = 5  # steps of the environment a decision
 WAY = 0.4  # [m] by which displacements are divided
 
 
-class Decisions(gym.Wrapper[Any, Any, Any, Any]):
+class Decisions(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Flat observations and two actions, of episodes from the training seeds.
 
     Action `Box((2,))`: speed to the contour's side (-1: none, 1: full), answer now (above 0.5). Observation `Box((10,))`: the way
@@ -39,14 +39,18 @@ class Decisions(gym.Wrapper[Any, Any, Any, Any]):
     about: whether there is one, R, sigma (logarithmic), looks.
     """
 
-    def __init__(self, seed: int = 0) -> None:
-        super().__init__(gym.make("extremal.tasks:extremal/Inspect-v0", sensor="geometric", max_steps=80))
+    def __init__(self, env: gym.Env[Any, Any], seed: int = 0) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, seed=seed)
+        gym.Wrapper.__init__(self, env)
         self.action_space = gym.spaces.Box(-1.0, 1.0, (2,), np.float32)
         self.observation_space = gym.spaces.Box(-5.0, 5.0, (10,), np.float32)
         self._rng = np.random.default_rng(seed)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        seed = int(self._rng.choice(TRAIN_SEEDS)) if seed is None else seed
+        if seed is None:
+            seed = int(self._rng.choice(TRAIN_SEEDS))
+        else:
+            self._rng = np.random.default_rng(seed)  # of the episodes that follow
         observation, info = self.env.reset(seed=seed, options=options)
         self._start = self._pose = pose_of(observation)
         side = 1.0 if observation["query"][0] > 0.5 else -1.0
@@ -92,12 +96,16 @@ class Settings:
     """folder of the model"""
 
 
-def made(seed: int) -> gym.Env[Any, Any]:
-    return Monitor(Decisions(seed))
+def decisions(seed: int) -> Decisions:
+    return Decisions(gym.make("extremal.tasks:extremal/Inspect-v0", sensor="geometric", max_steps=80), seed)
+
+
+def monitored(seed: int) -> gym.Env[Any, Any]:
+    return Monitor(decisions(seed))
 
 
 def train(settings: Settings) -> PPO:
-    makers = [partial(made, settings.seed + i) for i in range(settings.workers)]
+    makers = [partial(monitored, settings.seed + i) for i in range(settings.workers)]
     envs = SubprocVecEnv(makers, start_method="spawn") if settings.workers > 1 else DummyVecEnv(makers)
     try:
         agent = PPO(
@@ -111,7 +119,7 @@ def train(settings: Settings) -> PPO:
 
 def tested(agent: PPO | None, settings: Settings) -> str:
     """Success and reward over test episodes, with 95 % intervals; of random decisions where there is no agent."""
-    env, rng = Decisions(), np.random.default_rng(settings.seed)
+    env, rng = decisions(0), np.random.default_rng(settings.seed)
     success, rewards = [], []
     for seed in track(TEST_SEEDS[: settings.episodes], "random" if agent is None else "PPO"):
         observation, info = env.reset(seed=seed)

@@ -28,7 +28,7 @@ def test_it_trains_saves_and_compares(
 ) -> None:
     from gymnasium.utils.env_checker import check_env
 
-    env = example.Decisions(3)
+    env = example.decisions(3)
     check_env(env, skip_render_check=True)
     env.close()
     example.main(example.Settings(steps=256, workers=1, episodes=3, out=tmp_path))

@@ -58,16 +58,8 @@ def beyond_corners(
             plane, N, T = row_in(planes, v, i), row_in(frame, i, 0), row_in(frame, i, 1)
             lever = plus((poses[v, 0, 3], poses[v, 1, 3], poses[v, 2, 3]), -1.0, row(origin, i))
             x, _, _, miss, weight = equation(
-                plane,
-                sigma[v, i],
-                unknowns(theta, i),
-                middle[i],
-                lever,
-                N,
-                T,
-                NEAREST * distance[i],
-                math.inf,
-            )
+                plane, sigma[v, i], unknowns(theta, i), middle[i], lever, N, T, NEAREST * distance[i], math.inf,
+            )  # fmt: skip
             a, b = dot(N, plane), dot(T, plane)
             for j in range(4):
                 X[m, j] = weight * x[j]

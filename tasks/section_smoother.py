@@ -136,16 +136,8 @@ class SectionSmoother:
         origin, frame, distance = (values[rows] for values in self._sections)
         spread, theta = np.hypot(sigma, self._repeats)[rows], self._theta[rows]
         X, O, r = missed(
-            believed,
-            six_columns(root),
-            planes[rows],
-            spread,
-            theta,
-            self.middle[rows],
-            origin,
-            frame,
-            distance,
-        )
+            believed, six_columns(root), planes[rows], spread, theta, self.middle[rows], origin, frame, distance,
+        )  # fmt: skip
         P = self._spread.covariance.reshape(n, 3, n, 3)[rows][:, :, rows]
         arc = np.maximum(self.last - self.first, 0.0)[rows]
         bend = np.abs(theta[:, 2]) * arc**3 / BENDS / (spread * distance)

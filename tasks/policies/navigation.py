@@ -27,7 +27,7 @@ LEVEL = 0.05  # [m] from the camera's level, within which a contour generator co
 SAME = 0.006  # [m] between contact points that are one
 LEAST_LOOKS, WORST = 5, 0.06  # looks and sigma [m], before which a radius says nothing
 STRIDE = 0.12  # [m] from one contact point to the next that is tracked, where it moves on along the obstacle
-MOST = 0.5  # of a contour's points
+MOST = 0.5  # of a contour's points are curved, if it is a limb
 SHARPEST = 0.012  # [m] what is sharper is an edge that was taken for a contour
 OUTWARD = np.radians(25)  # of the first steps from the optical axis
 UNSEEN = 0.25  # of the radius, of which it is known where the contour generator is out of sight, at best
@@ -72,9 +72,8 @@ class Around:
             self._remember(found)
         if not self._beliefs:
             return steered(pose, self._first_step(goal), None)
-        beliefs = (
-            self._beliefs if found or not self._again else [*self._beliefs[:-1], _unseen(self._beliefs[-1])]
-        )
+        *earlier, newest = self._beliefs
+        beliefs = [*earlier, _unseen(newest) if self._again and not found else newest]
         plan, _ = plan_around(pose.translation, goal, [beliefs], self._caution)
         velocity = next_velocity(pose.translation, plan.waypoints, SPEED, DT)
         return steered(pose, velocity, self._beliefs[-1].point)

@@ -52,12 +52,17 @@ class Around:
     Args:
         radius: (radius, sigma) [m] of (n,) rows: what is taken for the section's.
         again: whether the plan follows the belief as it sharpens; else the first is kept for each contour.
+        once: whether the first contour is all that is looked at.
     """
 
     def __init__(
-        self, radius: Callable[[SeenFeatures], tuple[Array, Array]], k: float = 2.0, again: bool = True
+        self,
+        radius: Callable[[SeenFeatures], tuple[Array, Array]],
+        k: float = 2.0,
+        again: bool = True,
+        once: bool = False,
     ) -> None:
-        self._radius, self._again = radius, again
+        self._radius, self._again, self._once = radius, again, once
         self._caution = Caution(SPHERE + CLEARANCE + MARGIN, k)
 
     def reset(self, env: gym.Env[Any, Any], rng: np.random.Generator) -> None:
@@ -126,7 +131,8 @@ class Around:
                 if self._again:
                     self._beliefs[i] = found
                 return
-        self._beliefs.append(found)
+        if not (self._once and self._beliefs):
+            self._beliefs.append(found)
 
 
 def _unseen(belief: ArcBelief) -> ArcBelief:
@@ -182,6 +188,6 @@ BASELINES: dict[str, Callable[[], Policy]] = {
     "oracle": Knowing,
     "active": lambda: Around(by_itself),
     "parallax": lambda: Around(best, again=False),  # many obstacles stand where nothing fixed is seen
-    "absolute": lambda: Around(to_the_centimetre, k=0.0, again=False),
-    "blind": lambda: Around(mean_object, k=0.0),
+    "absolute": lambda: Around(to_the_centimetre, k=0.0, again=False, once=True),
+    "blind": lambda: Around(mean_object, k=0.0, again=False, once=True),
 }

@@ -84,3 +84,12 @@ def test_what_is_out_of_sight_is_passed_at_a_greater_distance(policy: Around) ->
     np.testing.assert_allclose(once.act(observed(limb())), seen)
     np.testing.assert_allclose(once.act(observed(limb(visible=False))), seen)
     assert unseen[1] < seen[1] - 0.01 and unseen[0] > 0
+
+
+def test_one_glance_is_the_first_contour(policy: Around) -> None:
+    once = Around(by_itself, again=False, once=True)
+    once.reset(gym.Env(), np.random.default_rng(0))
+    for which in (once, policy):
+        which.act(observed(limb()))
+        which.act(observed(limb(visible=False), limb(1, 0.15 + 0.5 * STRIDE)))
+    assert len(once._beliefs) == 1 and len(policy._beliefs) == 2

@@ -1,7 +1,8 @@
 """Baselines of Navigate: strings around what is known of the obstacle, by better and better knowledge.
 
 All but `oracle` start the same way: past the obstacle, a little away from it, until contours are tracked. From then on the
-newest contour generator near the camera's own level is an `ArcBelief`; earlier ones stay the strip already passed.
+newest contour generator near the camera's own level is an `ArcBelief`; earlier ones stay the strip already passed. `absolute` and
+`blind` look no further than the first.
 """
 
 from collections.abc import Callable, Mapping

@@ -51,11 +51,16 @@ def limb(number: int = 0, x: float = 0.15, visible: bool = True) -> Array:
     return contour(number, x, np.full(8, 0.08), 0.002, visible)
 
 
-@pytest.fixture
-def policy() -> Around:
-    found = Around(by_itself)
+def around(again: bool = True, once: bool = False) -> Around:
+    """At the start of an episode."""
+    found = Around(by_itself, again=again, once=once)
     found.reset(gym.Env(), np.random.default_rng(0))
     return found
+
+
+@pytest.fixture
+def policy() -> Around:
+    return around()
 
 
 def test_edges_that_pass_for_round_here_and_there_are_no_obstacle(policy: Around) -> None:
@@ -79,16 +84,14 @@ def test_the_obstacle_goes_on_where_it_was_seen(policy: Around) -> None:
 def test_what_is_out_of_sight_is_passed_at_a_greater_distance(policy: Around) -> None:
     seen = policy.act(observed(limb()))
     unseen = policy.act(observed(limb(visible=False)))
-    once = Around(by_itself, again=False)
-    once.reset(gym.Env(), np.random.default_rng(0))
+    once = around(again=False)
     np.testing.assert_allclose(once.act(observed(limb())), seen)
     np.testing.assert_allclose(once.act(observed(limb(visible=False))), seen)
     assert unseen[1] < seen[1] - 0.01 and unseen[0] > 0
 
 
 def test_one_glance_is_the_first_contour(policy: Around) -> None:
-    once = Around(by_itself, again=False, once=True)
-    once.reset(gym.Env(), np.random.default_rng(0))
+    once = around(again=False, once=True)
     for which in (once, policy):
         which.act(observed(limb()))
         which.act(observed(limb(visible=False), limb(1, 0.15 + 0.5 * STRIDE)))
